@@ -1,0 +1,1 @@
+//! The virtual SCuM-3C and the world of light around it.

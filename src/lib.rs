@@ -1,0 +1,5 @@
+//! Lighthouse positioning on a mote: light edges in, XYZ radio frames out.
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+
+pub mod time;

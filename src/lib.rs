@@ -3,3 +3,17 @@
 #![forbid(unsafe_code)]
 
 pub mod time;
+
+pub mod edge;
+
+pub mod pulse;
+
+pub mod sweep;
+
+pub mod angle;
+
+pub mod fix;
+
+pub mod frame;
+
+pub mod chain;

@@ -8,10 +8,12 @@
 
 /// An instant: a reading of the free-running 32-bit tick counter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ticks(pub u32);
 
 /// A length of time in ticks, 0 ..= 2^32 - 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Span(pub u32);
 
 impl Ticks {

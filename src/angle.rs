@@ -1,0 +1,76 @@
+//! Sweep time to angle: the ratio to the measured half turn, plus the rotor's factory phase.
+//!
+//! A rotor turns 180 degrees per half turn, so `time since sync / half turn` is the angle whatever the rate of the
+//! mote's clock: the lighthouse is the crystal.
+//!
+//! What can go wrong: a pulse that was no sweep gives an angle outside the rotor's field of view; it is rejected here.
+
+use crate::sweep::{Axis, HALF_TURN_BITS, HalfTurn, Station, Sweep};
+use crate::time::Ticks;
+
+/// The field of view of a Lighthouse V1 rotor to either side of straight ahead: 60 degrees, in [`Angle`] units.
+///
+/// Source: the stations light 120 degrees; on the 2020 recording, rows beyond it are reflections.
+pub const FIELD_OF_VIEW: i32 = (1 << HALF_TURN_BITS) / 3;
+
+/// A rotor angle: 2^20 units per half turn (180 degrees), zero straight ahead, factory phase included.
+///
+/// One unit is 3.0 urad. tan(azimuth) = c.x / c.z and tan(elevation) = c.y / c.z in the station's frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Angle(pub i32);
+
+/// Factory phase per rotor, in [`Angle`] units, `[station][axis]`: ideal = measured + phase.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Config {
+    /// Factory phases; real stations have up to 0.06 rad.
+    pub phase: [[i32; 2]; 2],
+}
+
+/// How many sweeps were turned away.
+#[derive(Debug, Clone, Default)]
+pub struct State {
+    outside: u16,
+}
+
+impl State {
+    /// Sweeps outside the field of view since start-up, wrapping.
+    #[must_use]
+    pub const fn outside(&self) -> u16 {
+        self.outside
+    }
+}
+
+/// One angle of one rotor, and when it was seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Bearing {
+    /// Whose rotor.
+    pub station: Station,
+    /// Which rotor.
+    pub axis: Axis,
+    /// The ideal angle.
+    pub angle: Angle,
+    /// When the laser passed.
+    pub at: Ticks,
+    /// The half turn at that time: the unit of every age.
+    pub half_turn: HalfTurn,
+}
+
+/// Turns one sweep into a bearing; `None` outside the field of view.
+#[inline]
+pub fn step(config: &Config, state: &mut State, sweep: Sweep) -> Option<Bearing> {
+    let measured = sweep.half_turn.share(sweep.since_sync) as i32 - (1 << (HALF_TURN_BITS - 1));
+    let ideal = measured.wrapping_add(config.phase[sweep.station as usize][sweep.axis as usize]);
+    if !(-FIELD_OF_VIEW..=FIELD_OF_VIEW).contains(&ideal) {
+        state.outside = state.outside.wrapping_add(1);
+        return None;
+    }
+    Some(Bearing {
+        station: sweep.station,
+        axis: sweep.axis,
+        angle: Angle(ideal),
+        at: sweep.at,
+        half_turn: sweep.half_turn,
+    })
+}

@@ -1,0 +1,270 @@
+//! Reports as IEEE 802.15.4 data frames, and back.
+//!
+//! One truth for the mote that sends and the listener that reads. All numbers are little-endian.
+//!
+//! | bytes | what |
+//! |---|---|
+//! | 0..2 | frame control 0x9841: data, PAN id compressed, 2006, short addresses |
+//! | 2 | MAC sequence: low byte of the report's sequence |
+//! | 3..5 | PAN id |
+//! | 5..7 | destination: 0xffff, everyone |
+//! | 7..9 | source: the mote id |
+//! | 9..11 | `LM`: ours |
+//! | 11 | version, [`VERSION`] |
+//! | 12 | kind, 1: a fix |
+//! | 13..15 | mote id |
+//! | 15..17 | sequence of reports, wrapping |
+//! | 17..21 | time of the fix, mote ticks, wrapping |
+//! | 21..25 | measured half turn, ticks, Q8: 8.333 ms on any mote |
+//! | 25..37 | x, y, z in metres, I16F16 |
+//! | 37..39 | epipolar mismatch in metres, U0F16, saturating |
+//! | 39..41 | age of the oldest angle used, in half turns, U8F8, saturating |
+//! | 41 | stations that contributed: bit 0 A, bit 1 B |
+//! | 42..44 | edges lost: a full queue, or an edge without a partner |
+//! | 44..46 | pulses that fit no window |
+//! | 46..48 | sweeps outside the field of view |
+//! | 48..50 | fixes refused: geometry, mismatch |
+//! | 50..52 | reports lost: a full queue |
+//! | 52..54 | FCS |
+//!
+//! What can go wrong: bytes that are not ours. [`parse`] names what is off and never panics.
+
+use fixed::types::{I16F16, U0F16, U8F8};
+
+/// The format described in the module documentation.
+pub const VERSION: u8 = 1;
+/// Bytes of a whole report frame, FCS included.
+pub const LEN: usize = 54;
+
+/// Data frame, PAN id compression, frame version 2006, short addresses both (IEEE 802.15.4-2006, 7.2.1.1).
+const FRAME_CONTROL: u16 = 0x9841;
+/// Everyone in the PAN (IEEE 802.15.4-2006, 7.2.1.4).
+const BROADCAST: u16 = 0xffff;
+const MAGIC: [u8; 2] = *b"LM";
+const KIND_FIX: u8 = 1;
+
+/// What was lost on the way from light to report, each counted since start-up, wrapping.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Losses {
+    /// Edges lost to a full queue, or without a partner.
+    pub edges: u16,
+    /// Pulses that fit no window of the cycle.
+    pub pulses: u16,
+    /// Sweeps outside the field of view.
+    pub sweeps: u16,
+    /// Fixes refused for their geometry or their mismatch.
+    pub fixes: u16,
+    /// Reports lost to a full queue.
+    pub reports: u16,
+}
+
+/// One finished position and how good it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Report {
+    /// When the newest of its angles was seen, in ticks of the mote.
+    pub time: u32,
+    /// The measured half turn in ticks, Q8: 8.333 ms.
+    pub half_turn_q8: u32,
+    /// World x, y, z in metres.
+    pub position: [I16F16; 3],
+    /// How far the rays of the two stations pass each other, in metres.
+    pub mismatch: U0F16,
+    /// Age of the oldest angle used, in half turns.
+    pub age: U8F8,
+    /// Bit 0: station A contributed. Bit 1: station B.
+    pub stations: u8,
+    /// What was lost so far.
+    pub losses: Losses,
+}
+
+/// Who says it, and as which of its reports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Header {
+    /// The personal area network.
+    pub pan: u16,
+    /// The mote: its short address.
+    pub mote: u16,
+    /// Reports made before this one, wrapping.
+    pub sequence: u16,
+}
+
+/// Why bytes are no report of ours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Reject {
+    /// Not [`LEN`] bytes.
+    Length,
+    /// The frame check sequence does not fit the bytes.
+    Fcs,
+    /// Another frame type, addressing or destination.
+    Header,
+    /// Another protocol's payload.
+    Magic,
+    /// A version this code does not know.
+    Version,
+    /// A kind of report this code does not know.
+    Kind,
+    /// The source address is not the mote id of the payload.
+    Mote,
+}
+
+impl core::fmt::Display for Reject {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Length => "not the length of a report",
+            Self::Fcs => "frame check sequence wrong",
+            Self::Header => "not a broadcast data frame with short addresses",
+            Self::Magic => "payload does not begin with LM",
+            Self::Version => "unknown version",
+            Self::Kind => "unknown kind of report",
+            Self::Mote => "source address is not the mote id",
+        })
+    }
+}
+
+impl core::error::Error for Reject {}
+
+/// CRC-16 of IEEE 802.15.4-2006, 7.2.1.9: x^16 + x^12 + x^5 + 1, least significant bit first, from zero.
+#[must_use]
+pub fn fcs(bytes: &[u8]) -> u16 {
+    let mut crc: u16 = 0;
+    for &byte in bytes {
+        // One byte at a time without a table: fold the byte into its own four feedback taps.
+        let low = (crc ^ u16::from(byte)) & 0xff;
+        let mixed = low ^ ((low << 4) & 0xff);
+        crc = (crc >> 8) ^ (mixed << 8) ^ (mixed << 3) ^ (mixed >> 4);
+    }
+    crc
+}
+
+/// Writes bytes one after another into a frame.
+struct Writer<'a> {
+    bytes: &'a mut [u8; LEN],
+    at: usize,
+}
+
+impl Writer<'_> {
+    fn put<const N: usize>(&mut self, value: [u8; N]) {
+        for byte in value {
+            if let Some(place) = self.bytes.get_mut(self.at) {
+                *place = byte;
+            }
+            self.at += 1;
+        }
+    }
+}
+
+/// Reads them back.
+struct Reader<'a> {
+    bytes: &'a [u8; LEN],
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> [u8; N] {
+        core::array::from_fn(|_| {
+            let byte = self.bytes.get(self.at).copied().unwrap_or(0);
+            self.at += 1;
+            byte
+        })
+    }
+
+    fn u8(&mut self) -> u8 {
+        u8::from_le_bytes(self.take())
+    }
+
+    fn u16(&mut self) -> u16 {
+        u16::from_le_bytes(self.take())
+    }
+
+    fn u32(&mut self) -> u32 {
+        u32::from_le_bytes(self.take())
+    }
+}
+
+/// The whole frame, FCS included.
+#[must_use]
+pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
+    let mut bytes = [0; LEN];
+    let mut to = Writer { bytes: &mut bytes, at: 0 };
+    to.put(FRAME_CONTROL.to_le_bytes());
+    to.put([header.sequence as u8]);
+    to.put(header.pan.to_le_bytes());
+    to.put(BROADCAST.to_le_bytes());
+    to.put(header.mote.to_le_bytes());
+    to.put(MAGIC);
+    to.put([VERSION, KIND_FIX]);
+    to.put(header.mote.to_le_bytes());
+    to.put(header.sequence.to_le_bytes());
+    to.put(report.time.to_le_bytes());
+    to.put(report.half_turn_q8.to_le_bytes());
+    for coordinate in report.position {
+        to.put(coordinate.to_le_bytes());
+    }
+    to.put(report.mismatch.to_le_bytes());
+    to.put(report.age.to_le_bytes());
+    to.put([report.stations]);
+    let Losses { edges, pulses, sweeps, fixes, reports } = report.losses;
+    for count in [edges, pulses, sweeps, fixes, reports] {
+        to.put(count.to_le_bytes());
+    }
+    let check = fcs(bytes.get(..LEN - 2).unwrap_or(&[]));
+    Writer { bytes: &mut bytes, at: LEN - 2 }.put(check.to_le_bytes());
+    bytes
+}
+
+/// Reads a whole frame, FCS included.
+///
+/// # Errors
+/// The first thing that shows the bytes are no report of ours.
+pub fn parse(bytes: &[u8]) -> Result<(Header, Report), Reject> {
+    let bytes: &[u8; LEN] = bytes.try_into().map_err(|_| Reject::Length)?;
+    // The CRC over a frame and its own FCS is zero.
+    if fcs(bytes) != 0 {
+        return Err(Reject::Fcs);
+    }
+    let mut from = Reader { bytes, at: 0 };
+    let control = from.u16();
+    let mac_sequence = from.u8();
+    let pan = from.u16();
+    let destination = from.u16();
+    let source = from.u16();
+    if control != FRAME_CONTROL || destination != BROADCAST {
+        return Err(Reject::Header);
+    }
+    if from.take() != MAGIC {
+        return Err(Reject::Magic);
+    }
+    if from.u8() != VERSION {
+        return Err(Reject::Version);
+    }
+    if from.u8() != KIND_FIX {
+        return Err(Reject::Kind);
+    }
+    let mote = from.u16();
+    let sequence = from.u16();
+    if mote != source {
+        return Err(Reject::Mote);
+    }
+    if sequence as u8 != mac_sequence {
+        return Err(Reject::Header);
+    }
+    let report = Report {
+        time: from.u32(),
+        half_turn_q8: from.u32(),
+        position: core::array::from_fn(|_| I16F16::from_le_bytes(from.take())),
+        mismatch: U0F16::from_le_bytes(from.take()),
+        age: U8F8::from_le_bytes(from.take()),
+        stations: from.u8(),
+        losses: Losses {
+            edges: from.u16(),
+            pulses: from.u16(),
+            sweeps: from.u16(),
+            fixes: from.u16(),
+            reports: from.u16(),
+        },
+    };
+    Ok((Header { pan, mote, sequence }, report))
+}

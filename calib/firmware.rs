@@ -3,7 +3,7 @@
 //! What can go wrong: a room that the fixed-point solver cannot hold; it is refused with the number that breaks.
 
 use super::quantise::{self, Baked, Room};
-use super::schema::{Calibration, Error, RoomBox, Station};
+use super::schema::{Calibration, Error, Rotor, RoomBox, Station};
 use super::volume::shared_view;
 
 /// Milliseconds of a half turn.
@@ -39,12 +39,12 @@ pub fn bake(file: &str, calibration: &Calibration) -> Result<Baked, Error> {
     })
 }
 
-/// Factory phases in angle units, `[station][axis]`.
+/// The factory terms of one rotor in angle units: phase, tan(tilt), gibbous sine and cosine.
 #[must_use]
-pub fn phases(calibration: &Calibration) -> [[i32; 2]; 2] {
-    calibration
-        .stations
-        .map(|station| station.factory.map(|rotor| (rotor.phase * ANGLE_UNITS_PER_RAD).round() as i32))
+pub fn rotor(rotor: &Rotor) -> [i32; 4] {
+    let units = |rad: f64| (rad * ANGLE_UNITS_PER_RAD).round() as i32;
+    let (sin, cos) = rotor.gibphase.sin_cos();
+    [units(rotor.phase), units(rotor.tilt.tan()), units(rotor.gibmag * cos), units(rotor.gibmag * sin)]
 }
 
 /// The age rule in whole half turns, at least one.
@@ -60,13 +60,21 @@ pub fn max_age_half_turns(calibration: &Calibration) -> u16 {
 pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
     let solver = bake(file, calibration)?.emit();
     let mote = calibration.mote;
-    let phases = phases(calibration);
+    let rotors = calibration.stations.map(|station| {
+        let [az, el] = station.factory.each_ref().map(|terms| {
+            let [phase, tilt, sin, cos] = rotor(terms);
+            format!(
+                "lighthouse_mote::angle::Rotor {{ phase: {phase}, tilt: {tilt}, gibbous_sin: {sin}, gibbous_cos: {cos} }}"
+            )
+        });
+        format!("[{az}, {el}]")
+    });
     let max_age = max_age_half_turns(calibration);
     Ok(format!(
         "/// The room, as baked from `{file}`.
 pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
     sweep: lighthouse_mote::sweep::Config::DEFAULT,
-    angle: lighthouse_mote::angle::Config {{ phase: {phases:?} }},
+    angle: lighthouse_mote::angle::Config {{ rotors: [{}, {}] }},
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},
     report_every_half_turns: {every},
 }};
@@ -75,6 +83,8 @@ pub const PAN: u16 = {pan};
 /// The mote's short address.
 pub const MOTE: u16 = {id};
 ",
+        rotors[0],
+        rotors[1],
         every = mote.report_every_half_turns,
         pan = mote.pan,
         id = mote.id,

@@ -146,8 +146,12 @@ pub fn read(file: &str, text: &str) -> Result<Calibration, Error> {
 const ROTATION_TOLERANCE: f64 = 1e-4;
 /// No room is larger, metres.
 const POSITION_LIMIT_M: f64 = 100.0;
-/// Factory terms seen in the field stay under 0.07 rad; gibphase is any angle.
-const FACTORY_LIMIT_RAD: f64 = 0.2;
+/// The limits of the factory terms, radians; gibphase is any angle. Stations seen in the field have phases up to 0.06,
+/// tilts up to 0.006, curves up to 0.007, gibmags up to 0.017; the mote's arithmetic holds tilt and gibmag to here.
+const PHASE_LIMIT_RAD: f64 = 0.2;
+const TILT_LIMIT_RAD: f64 = 0.02;
+const CURVE_LIMIT_RAD: f64 = 0.1;
+const GIBMAG_LIMIT_RAD: f64 = 0.03;
 
 fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
     let table = both.need_table(name)?;
@@ -178,19 +182,19 @@ fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
 
 fn rotor(terms: &Table<'_>) -> Result<Rotor, Error> {
     terms.only(&["phase", "tilt", "curve", "gibphase", "gibmag"])?;
-    let small = |key: &str| -> Result<f64, Error> {
+    let small = |key: &str, limit: f64| -> Result<f64, Error> {
         let value = terms.optional(key, |value, at| at.number(value))?.unwrap_or(0.0);
-        let flaw = (value.abs() > FACTORY_LIMIT_RAD)
-            .then(|| format!("{value} rad is beyond {FACTORY_LIMIT_RAD} rad; factory terms are small angles"));
+        let flaw = (value.abs() > limit)
+            .then(|| format!("{value} rad is beyond {limit} rad; factory terms are small angles"));
         terms.check(key, flaw)?;
         Ok(value)
     };
     Ok(Rotor {
-        phase: small("phase")?,
-        tilt: small("tilt")?,
-        curve: small("curve")?,
+        phase: small("phase", PHASE_LIMIT_RAD)?,
+        tilt: small("tilt", TILT_LIMIT_RAD)?,
+        curve: small("curve", CURVE_LIMIT_RAD)?,
         gibphase: terms.optional("gibphase", |value, at| at.number(value))?.unwrap_or(0.0),
-        gibmag: small("gibmag")?,
+        gibmag: small("gibmag", GIBMAG_LIMIT_RAD)?,
     })
 }
 

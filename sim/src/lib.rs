@@ -1,2 +1,3 @@
 //! The virtual SCuM-3C and the world of light around it.
 pub mod bus;
+pub mod scum3c;

@@ -8,9 +8,8 @@
 //! Each peripheral is a plain state machine in its own file; this one wires them: RFTIMER compares command the radio,
 //! radio events trigger RFTIMER captures, the analog registers power the transmitter.
 //!
-//! The radio reads packets from a RAM that the machine owns. After each register write, and after each `advance`, the
-//! machine must ask [`Scum3c::take_dma`] and answer with [`Scum3c::give_dma`]; and it must not advance past
-//! `next_event`, or a load and a send that the RFTIMER fires may leave no time for the answer.
+//! The radio reads packets from a RAM that the machine owns, through [`Bus::take_dma`] and [`Bus::give_dma`]. A machine
+//! must not advance past `next_event`, or a load and a send that the RFTIMER fires may leave no time for the answer.
 //!
 //! # Note
 //! All registers are words. The chip's own sources never access them otherwise, and its peripheral bus has no byte
@@ -27,7 +26,7 @@ mod rf_controller;
 mod rftimer;
 mod uart;
 
-use crate::bus::{Bus, BusFault, Size};
+use crate::bus::{Bus, BusFault, Dma, Size};
 use analog_cfg::AnalogCfg;
 use gpio::Gpio;
 use rf_controller::RfController;
@@ -38,7 +37,7 @@ use uart::Uart;
 
 pub use analog_cfg::Clocks;
 pub use gpio::EdgeError;
-pub use rf_controller::{Dma, Refusal, SentFrame, Why};
+pub use rf_controller::{Refusal, SentFrame, Why};
 pub use rftimer::Ratio;
 
 /// Interrupt number of the radio controller (SCuM-3C test code, cm0dsasm.s:43-58, as all of these).
@@ -52,7 +51,7 @@ pub const IRQ_GPIO9_LOW: u32 = 13;
 
 /// Base addresses (SCuM-3C test code, memory_map.h:10-21).
 const RF: u32 = 0x4000_0000;
-const DMA: u32 = 0x4100_0000;
+const DMA_BASE: u32 = 0x4100_0000;
 const RFTIMER: u32 = 0x4200_0000;
 const ADC: u32 = 0x5000_0000;
 const UART: u32 = 0x5100_0000;
@@ -77,11 +76,7 @@ pub struct Config {
 impl Default for Config {
     /// The lighthouse set-up as intended: HCLK and RFTIMER at 10 MHz, all else on target.
     fn default() -> Self {
-        Self {
-            hclk_hz: NOMINAL_HCLK_HZ,
-            ratio: Ratio::ONE,
-            clocks: Clocks::default(),
-        }
+        Self { hclk_hz: NOMINAL_HCLK_HZ, ratio: Ratio::ONE, clocks: Clocks::default() }
     }
 }
 
@@ -127,18 +122,6 @@ impl Scum3c {
         self.gpio.push_edge(cycle, level, self.now)?;
         self.schedule();
         Ok(())
-    }
-
-    /// The packet the radio waits for, given out once.
-    pub fn take_dma(&mut self) -> Option<Dma> {
-        self.rf.take_dma()
-    }
-
-    /// Answers the radio's latest request. Fewer bytes than it asked for mean that they are not all in RAM.
-    pub fn give_dma(&mut self, bytes: &[u8]) {
-        let pulses = self.rf.give_dma(bytes, self.now);
-        self.rftimer.radio_events(pulses, self.now);
-        self.schedule();
     }
 
     /// The frames that have left since the last call, oldest first.
@@ -187,17 +170,12 @@ impl Scum3c {
     }
 
     fn schedule(&mut self) {
-        self.next_event = self
-            .rftimer
-            .next_event()
-            .min(self.rf.next_event())
-            .min(self.gpio.next_event());
+        self.next_event = self.rftimer.next_event().min(self.rf.next_event()).min(self.gpio.next_event());
     }
 
     fn command_radio(&mut self, bits: u32) {
         let ready = self.analog.ready_to_send(self.now);
-        self.rf
-            .command(bits, self.now, ready, self.analog.hclk_hz());
+        self.rf.command(bits, self.now, ready, self.analog.hclk_hz());
     }
 
     fn write_analog(&mut self, offset: u32, value: u32) -> Result<(), &'static str> {
@@ -217,8 +195,8 @@ impl Scum3c {
         let offset = address & !BASE;
         match address & BASE {
             RF => self.rf.read(offset),
-            DMA if offset == DMA_RX_ADDR => Ok(self.rx_address),
-            DMA => Err("no DMA register here"),
+            DMA_BASE if offset == DMA_RX_ADDR => Ok(self.rx_address),
+            DMA_BASE => Err("no DMA register here"),
             RFTIMER => self.rftimer.read(offset, self.now),
             ADC => Err(adc::refusal(offset)),
             UART => self.uart.read(offset),
@@ -233,8 +211,8 @@ impl Scum3c {
         match address & BASE {
             RF if RfController::is_control(offset) => self.command_radio(value),
             RF => self.rf.write(offset, value)?,
-            DMA if offset == DMA_RX_ADDR => self.rx_address = value,
-            DMA => return Err("no DMA register here"),
+            DMA_BASE if offset == DMA_RX_ADDR => self.rx_address = value,
+            DMA_BASE => return Err("no DMA register here"),
             RFTIMER => self.rftimer.write(offset, value, self.now)?,
             ADC => return Err(adc::refusal(offset)),
             UART => self.uart.write(offset, value, self.now)?,
@@ -256,9 +234,7 @@ fn words_only(size: Size) -> Result<(), &'static str> {
 impl Bus for Scum3c {
     fn read(&mut self, address: u32, size: Size, cycle: u64) -> Result<u32, BusFault> {
         self.advance(cycle);
-        words_only(size)
-            .and_then(|()| self.read_word(address))
-            .map_err(|why| BusFault { address, why })
+        words_only(size).and_then(|()| self.read_word(address)).map_err(|why| BusFault { address, why })
     }
 
     fn write(&mut self, address: u32, size: Size, value: u32, cycle: u64) -> Result<(), BusFault> {
@@ -292,6 +268,16 @@ impl Bus for Scum3c {
             self.schedule();
         }
         self.now = self.now.max(cycle);
+    }
+
+    fn take_dma(&mut self) -> Option<Dma> {
+        self.rf.take_dma()
+    }
+
+    fn give_dma(&mut self, bytes: &[u8]) {
+        let pulses = self.rf.give_dma(bytes, self.now);
+        self.rftimer.radio_events(pulses, self.now);
+        self.schedule();
     }
 }
 
@@ -354,13 +340,7 @@ mod tests {
     fn an_edge_in_the_present_is_taken_and_one_in_the_past_is_not() {
         let mut chip = Scum3c::new(Config::default());
         chip.advance(1_000);
-        assert_eq!(
-            chip.push_edge(999, true),
-            Err(EdgeError::InThePast {
-                cycle: 999,
-                now: 1_000
-            })
-        );
+        assert_eq!(chip.push_edge(999, true), Err(EdgeError::InThePast { cycle: 999, now: 1_000 }));
         chip.push_edge(1_000, true).unwrap();
         assert_eq!(chip.next_event(), 1_000);
         chip.advance(1_000);
@@ -373,13 +353,7 @@ mod tests {
         put(&mut chip, RF + 0x14, 0x7, 0);
         switch_transmitter_on(&mut chip, 100);
         ask_for_load(&mut chip, 20, 200);
-        assert_eq!(
-            chip.take_dma(),
-            Some(Dma {
-                address: 0x2000_0040,
-                len: 20
-            })
-        );
+        assert_eq!(chip.take_dma(), Some(Dma { address: 0x2000_0040, len: 20 }));
         chip.give_dma(&[7; 20]);
         put(&mut chip, RF, 2, 600);
         chip.advance(600 + 1_600);
@@ -387,14 +361,7 @@ mod tests {
         assert_eq!(chip.lines(), DARK | 1 << IRQ_RF);
         let end_cycle = 600 + 26 * 320;
         chip.advance(end_cycle);
-        assert_eq!(
-            chip.take_frames(),
-            [SentFrame {
-                bytes: vec![7; 20],
-                start_cycle: 600,
-                end_cycle
-            }]
-        );
+        assert_eq!(chip.take_frames(), [SentFrame { bytes: vec![7; 20], start_cycle: 600, end_cycle }]);
         assert_eq!(get(&mut chip, RF + 0x10, end_cycle), 0x7);
         put(&mut chip, RF + 0x18, 0x7, end_cycle);
         assert_eq!(chip.lines(), DARK);
@@ -414,14 +381,8 @@ mod tests {
         assert_eq!(
             chip.refusals(),
             [
-                Refusal {
-                    cycle: 1_000,
-                    why: Why::WrongLdos { ldo: 0 }
-                },
-                Refusal {
-                    cycle: 2_499,
-                    why: Why::NotSettled { cycles: 499 }
-                },
+                Refusal { cycle: 1_000, why: Why::WrongLdos { ldo: 0 } },
+                Refusal { cycle: 2_499, why: Why::NotSettled { cycles: 499 } },
             ]
         );
         assert_eq!(chip.take_frames().len(), 1);
@@ -463,19 +424,9 @@ mod tests {
         }
         let end_cycle = 6_000 + 17 * 320;
         let bytes = (0..11).collect();
-        assert_eq!(
-            chip.take_frames(),
-            [SentFrame {
-                bytes,
-                start_cycle: 6_000,
-                end_cycle
-            }]
-        );
+        assert_eq!(chip.take_frames(), [SentFrame { bytes, start_cycle: 6_000, end_cycle }]);
         assert_eq!(get(&mut chip, RFTIMER + 0x50, 100_000), 7_600);
-        assert_eq!(
-            u64::from(get(&mut chip, RFTIMER + 0x54, 100_000)),
-            end_cycle
-        );
+        assert_eq!(u64::from(get(&mut chip, RFTIMER + 0x54, 100_000)), end_cycle);
         assert_eq!(get(&mut chip, RFTIMER + 0x70, 100_000), 0x300);
         assert_eq!(chip.lines(), DARK | 1 << IRQ_RFTIMER);
         assert_eq!(get(&mut chip, RF + 0x10, 100_000), 0);
@@ -503,16 +454,8 @@ mod tests {
     #[test]
     fn addresses_nobody_owns_and_narrow_accesses_fault() {
         let mut chip = Scum3c::new(Config::default());
-        for address in [
-            0x4000_0028,
-            0x4100_0000,
-            0x4200_000C,
-            ADC,
-            0x5100_0004,
-            0x5300_0004,
-            0x6000_0000,
-            0x4300_0000,
-        ] {
+        for address in [0x4000_0028, 0x4100_0000, 0x4200_000C, ADC, 0x5100_0004, 0x5300_0004, 0x6000_0000, 0x4300_0000]
+        {
             let fault = chip.read(address, Size::Word, 0).unwrap_err();
             assert_eq!(fault.address, address);
             assert!(!fault.why.is_empty());
@@ -544,11 +487,7 @@ mod tests {
     }
 
     fn any_value() -> impl Strategy<Value = u32> {
-        prop_oneof![
-            any::<u32>(),
-            0_u32..0x100,
-            proptest::sample::select(vec![0x3FFF, 0x7F, 0x28, 0x6, 0x80, u32::MAX]),
-        ]
+        prop_oneof![any::<u32>(), 0_u32..0x100, proptest::sample::select(vec![0x3FFF, 0x7F, 0x28, 0x6, 0x80, u32::MAX]),]
     }
 
     proptest! {

@@ -76,12 +76,7 @@ pub struct Clocks {
 
 impl Default for Clocks {
     fn default() -> Self {
-        Self {
-            lf_hz: 32_768,
-            rc2m_hz: 2_000_000,
-            lc_div_hz: 2_501_870,
-            if_hz: 16_000_000,
-        }
+        Self { lf_hz: 32_768, rc2m_hz: 2_000_000, lc_div_hz: 2_501_870, if_hz: 16_000_000 }
     }
 }
 
@@ -98,14 +93,7 @@ struct ScanChain {
 
 impl ScanChain {
     fn new() -> Self {
-        Self {
-            shift: [false; SCAN_BITS],
-            newest: 0,
-            sampled: None,
-            last: 0,
-            loaded: [0; SCAN_WORDS],
-            loads: 0,
-        }
+        Self { shift: [false; SCAN_BITS], newest: 0, sampled: None, last: 0, loaded: [0; SCAN_WORDS], loads: 0 }
     }
 
     fn write(&mut self, value: u16) {
@@ -184,14 +172,10 @@ impl AnalogCfg {
     /// Whether the transmitter is powered and modulated.
     pub(super) fn transmitter(&self) -> Result<(), Why> {
         if self.written[LDO] & !LDO_DIV != LDO_TX {
-            return Err(Why::WrongLdos {
-                ldo: self.written[LDO],
-            });
+            return Err(Why::WrongLdos { ldo: self.written[LDO] });
         }
         if self.written[MIXER] != MIXER_TX {
-            return Err(Why::WrongMixers {
-                mixer: self.written[MIXER],
-            });
+            return Err(Why::WrongMixers { mixer: self.written[MIXER] });
         }
         if self.written[MODULATION] & MODULATION_15_4 == 0 {
             return Err(Why::NotModulated);
@@ -203,9 +187,7 @@ impl AnalogCfg {
     pub(super) fn ready_to_send(&self, cycle: u64) -> Result<(), Why> {
         self.transmitter()?;
         let needed = (SETTLE_US * u64::from(self.hclk_hz.get())).div_ceil(1_000_000);
-        let settled = self
-            .transmitter_on_since
-            .map_or(0, |since| cycle.saturating_sub(since));
+        let settled = self.transmitter_on_since.map_or(0, |since| cycle.saturating_sub(since));
         if settled < needed {
             return Err(Why::NotSettled { cycles: settled });
         }
@@ -228,9 +210,7 @@ impl AnalogCfg {
         if self.written[LDO] & (LDO_LO | LDO_DIV) == LDO_LO | LDO_DIV {
             self.lc_ran_fs = self.lc_ran_fs.saturating_add(fs);
         }
-        self.hf_count = self
-            .hf_count
-            .wrapping_add(cycles.wrapping_mul(HF_PER_CYCLE));
+        self.hf_count = self.hf_count.wrapping_add(cycles.wrapping_mul(HF_PER_CYCLE));
     }
 
     pub(super) fn read(&mut self, offset: u32, cycle: u64) -> Result<u32, &'static str> {
@@ -251,19 +231,10 @@ impl AnalogCfg {
             }
             _ => return Err("nobody knows what this ANALOG_CFG register reads as"),
         };
-        Ok(if index % 2 == 0 {
-            count & 0xFFFF
-        } else {
-            count >> 16
-        })
+        Ok(if index % 2 == 0 { count & 0xFFFF } else { count >> 16 })
     }
 
-    pub(super) fn write(
-        &mut self,
-        offset: u32,
-        value: u32,
-        cycle: u64,
-    ) -> Result<(), &'static str> {
+    pub(super) fn write(&mut self, offset: u32, value: u32, cycle: u64) -> Result<(), &'static str> {
         let index = register(offset)?;
         let value = value as u16;
         if index == COUNTERS && !matches!(value, COUNTERS_RESET | COUNTERS_STOP | COUNTERS_RUN) {
@@ -334,18 +305,8 @@ mod tests {
         put(&mut analog, COUNTERS, 0, 5);
         put(&mut analog, COUNTERS, 0x3FFF, 1_000);
         put(&mut analog, COUNTERS, 0x007F, 1_001_000);
-        for (index, target) in [
-            (0, 3_276),
-            (4, 2_000_000),
-            (6, 200_000),
-            (10, 250_187),
-            (12, 1_600_000),
-        ] {
-            assert_eq!(
-                counted(&mut analog, index, 9_000_000),
-                target,
-                "register {index}"
-            );
+        for (index, target) in [(0, 3_276), (4, 2_000_000), (6, 200_000), (10, 250_187), (12, 1_600_000)] {
+            assert_eq!(counted(&mut analog, index, 9_000_000), target, "register {index}");
         }
         put(&mut analog, COUNTERS, 0, 9_000_001);
         assert_eq!(counted(&mut analog, 4, 9_000_002), 0);
@@ -381,25 +342,16 @@ mod tests {
         put(&mut analog, MODULATION, 0x80, 0);
         assert_eq!(analog.ready_to_send(0), Err(Why::WrongLdos { ldo: 0 }));
         put(&mut analog, LDO, 0x28, 1_000);
-        assert_eq!(
-            analog.ready_to_send(9_000),
-            Err(Why::WrongMixers { mixer: 0 })
-        );
+        assert_eq!(analog.ready_to_send(9_000), Err(Why::WrongMixers { mixer: 0 }));
         put(&mut analog, MIXER, 0x6, 10_000);
-        assert_eq!(
-            analog.ready_to_send(10_499),
-            Err(Why::NotSettled { cycles: 499 })
-        );
+        assert_eq!(analog.ready_to_send(10_499), Err(Why::NotSettled { cycles: 499 }));
         assert_eq!(analog.ready_to_send(10_500), Ok(()));
         put(&mut analog, LDO, 0x28, 10_600);
         put(&mut analog, LDO, 0x68, 10_600);
         assert_eq!(analog.ready_to_send(10_600), Ok(()));
         put(&mut analog, LDO, 0x00, 10_700);
         put(&mut analog, LDO, 0x28, 10_800);
-        assert_eq!(
-            analog.ready_to_send(10_900),
-            Err(Why::NotSettled { cycles: 100 })
-        );
+        assert_eq!(analog.ready_to_send(10_900), Err(Why::NotSettled { cycles: 100 }));
     }
 
     #[test]

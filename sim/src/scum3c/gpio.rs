@@ -42,10 +42,7 @@ impl fmt::Display for EdgeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::OutOfOrder { cycle, previous } => {
-                write!(
-                    f,
-                    "edge at cycle {cycle} is not later than the one at {previous}"
-                )
+                write!(f, "edge at cycle {cycle} is not later than the one at {previous}")
             }
             Self::InThePast { cycle, now } => {
                 write!(f, "edge at cycle {cycle} is before the present, {now}")
@@ -138,18 +135,9 @@ mod tests {
     fn edges_out_of_order_or_in_the_past_are_refused() {
         let mut gpio = Gpio::default();
         gpio.push_edge(10, true, 0).unwrap();
-        assert_eq!(
-            gpio.push_edge(10, false, 0),
-            Err(EdgeError::OutOfOrder {
-                cycle: 10,
-                previous: 10
-            })
-        );
+        assert_eq!(gpio.push_edge(10, false, 0), Err(EdgeError::OutOfOrder { cycle: 10, previous: 10 }));
         gpio.advance(20);
-        assert_eq!(
-            gpio.push_edge(15, false, 20),
-            Err(EdgeError::InThePast { cycle: 15, now: 20 })
-        );
+        assert_eq!(gpio.push_edge(15, false, 20), Err(EdgeError::InThePast { cycle: 15, now: 20 }));
         gpio.push_edge(20, false, 20).unwrap();
         assert_eq!(gpio.next_event(), 20);
     }

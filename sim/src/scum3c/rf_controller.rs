@@ -20,6 +20,7 @@
 //! - The layout of STATUS is not published: reading it faults.
 //! - Nothing is ever received. RX_START only makes the radio busy until RX_STOP or RESET.
 
+use crate::bus::Dma;
 use std::collections::VecDeque;
 use std::fmt;
 use std::num::NonZeroU32;
@@ -68,15 +69,6 @@ const LOAD_CYCLES_PER_BYTE: u64 = 1;
 
 /// How many refusals are kept; all are counted.
 const KEPT_REFUSALS: usize = 1024;
-
-/// A packet the radio wants out of data RAM.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Dma {
-    /// Where the packet begins.
-    pub address: u32,
-    /// How many bytes it has, FCS included: 1 to 127.
-    pub len: u32,
-}
 
 /// A frame that left the antenna whole.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -161,32 +153,18 @@ impl fmt::Display for Why {
             Self::BadLength { len } => {
                 write!(f, "a length of {len} bytes; 1 to {LONGEST} are possible")
             }
-            Self::NotInRam {
-                dma: Dma { address, len },
-            } => {
+            Self::NotInRam { dma: Dma { address, len } } => {
                 write!(f, "{len} bytes at {address:#010x} are not all in data RAM")
             }
             Self::Sending => write!(f, "a frame is in the air"),
             Self::Receiving => write!(f, "the receiver is running"),
-            Self::WrongLdos { ldo } => write!(
-                f,
-                "ANALOG_CFG 10 is {ldo:#x}, not 0x28: LO and PA are not on"
-            ),
-            Self::WrongMixers { mixer } => write!(
-                f,
-                "ANALOG_CFG 16 is {mixer:#x}, not 0x6: the mixers are not off"
-            ),
-            Self::NotModulated => write!(
-                f,
-                "ANALOG_CFG 11 has not selected the 802.15.4 modulation (0x80)"
-            ),
+            Self::WrongLdos { ldo } => write!(f, "ANALOG_CFG 10 is {ldo:#x}, not 0x28: LO and PA are not on"),
+            Self::WrongMixers { mixer } => write!(f, "ANALOG_CFG 16 is {mixer:#x}, not 0x6: the mixers are not off"),
+            Self::NotModulated => write!(f, "ANALOG_CFG 11 has not selected the 802.15.4 modulation (0x80)"),
             Self::NotSettled { cycles } => {
                 write!(f, "{cycles} cycles after switching on; 50 us are needed")
             }
-            Self::CutOff => write!(
-                f,
-                "the transmitter was switched off in the middle of a frame"
-            ),
+            Self::CutOff => write!(f, "the transmitter was switched off in the middle of a frame"),
             Self::Retuned => write!(f, "the LC tank was retuned in the middle of a frame"),
             Self::Reset => write!(f, "the radio was reset in the middle of a frame"),
         }
@@ -265,10 +243,7 @@ impl RfController {
             self.refuse(now, Why::NotInRam { dma });
             return 0;
         }
-        self.load = Load::Moving {
-            bytes: bytes.to_vec(),
-            due,
-        };
+        self.load = Load::Moving { bytes: bytes.to_vec(), due };
         self.advance(now)
     }
 
@@ -308,10 +283,7 @@ impl RfController {
             _ => u64::MAX,
         };
         let send = match &self.sending {
-            Some(Sending {
-                sfd_at: Some(sfd_at),
-                ..
-            }) => *sfd_at,
+            Some(Sending { sfd_at: Some(sfd_at), .. }) => *sfd_at,
             Some(Sending { frame, .. }) => frame.end_cycle,
             None => u64::MAX,
         };
@@ -333,10 +305,7 @@ impl RfController {
             sending.sfd_at = None;
             pulses |= self.event(SFD_DONE);
         }
-        if let Some(Sending { frame, .. }) = self
-            .sending
-            .take_if(|sending| sending.frame.end_cycle <= cycle)
-        {
+        if let Some(Sending { frame, .. }) = self.sending.take_if(|sending| sending.frame.end_cycle <= cycle) {
             self.frames.push_back(frame);
             pulses |= self.event(SEND_DONE);
         }
@@ -351,13 +320,7 @@ impl RfController {
     }
 
     /// What CONTROL is told, by software or by the RFTIMER. `ready` says whether the transmitter can send.
-    pub(super) fn command(
-        &mut self,
-        bits: u32,
-        cycle: u64,
-        ready: Result<(), Why>,
-        hclk_hz: NonZeroU32,
-    ) {
+    pub(super) fn command(&mut self, bits: u32, cycle: u64, ready: Result<(), Why>, hclk_hz: NonZeroU32) {
         if bits & RESET != 0 {
             self.cut(cycle, Why::Reset);
             self.load = Load::Empty;
@@ -391,16 +354,9 @@ impl RfController {
         if self.len == 0 || self.len > LONGEST {
             return self.refuse(cycle, Why::BadLength { len: self.len });
         }
-        let dma = Dma {
-            address: self.address,
-            len: self.len,
-        };
+        let dma = Dma { address: self.address, len: self.len };
         let due = cycle.saturating_add(u64::from(self.len) * LOAD_CYCLES_PER_BYTE);
-        self.load = Load::Asked {
-            dma,
-            taken: false,
-            due,
-        };
+        self.load = Load::Asked { dma, taken: false, due };
     }
 
     fn send(&mut self, cycle: u64, ready: Result<(), Why>, hclk_hz: NonZeroU32) -> Result<(), Why> {
@@ -420,11 +376,7 @@ impl RfController {
             let all = SFD_BYTES + LENGTH_BYTES + bytes.len() as u64;
             self.sending = Some(Sending {
                 sfd_at: Some(after(SFD_BYTES)),
-                frame: SentFrame {
-                    bytes,
-                    start_cycle: cycle,
-                    end_cycle: after(all),
-                },
+                frame: SentFrame { bytes, start_cycle: cycle, end_cycle: after(all) },
             });
         }
         Ok(())
@@ -432,9 +384,7 @@ impl RfController {
 
     pub(super) fn read(&self, offset: u32) -> Result<u32, &'static str> {
         match offset {
-            CONTROL | INT_CLEAR | ERROR_CLEAR => {
-                Err("this RF controller register can only be written")
-            }
+            CONTROL | INT_CLEAR | ERROR_CLEAR => Err("this RF controller register can only be written"),
             STATUS => Err("the layout of the RF controller's STATUS is not published"),
             TX_DATA_ADDR => Ok(self.address),
             TX_PACK_LEN => Ok(self.len),
@@ -501,13 +451,7 @@ mod tests {
     #[test]
     fn loading_asks_for_the_packet_once_and_says_when_it_is_done() {
         let mut rf = asked(9);
-        assert_eq!(
-            rf.take_dma(),
-            Some(Dma {
-                address: 0x2000_0100,
-                len: 9
-            })
-        );
+        assert_eq!(rf.take_dma(), Some(Dma { address: 0x2000_0100, len: 9 }));
         assert_eq!(rf.take_dma(), None);
         assert_eq!(rf.give_dma(&[1; 9], 0), 0);
         assert_eq!(rf.next_event(), 9);
@@ -537,14 +481,7 @@ mod tests {
         assert_eq!(rf.next_event(), end_cycle);
         assert!(rf.take_frames().is_empty());
         assert_eq!(rf.advance(end_cycle), SEND_DONE);
-        assert_eq!(
-            rf.take_frames(),
-            [SentFrame {
-                bytes: vec![0x5A; 11],
-                start_cycle: 1_000,
-                end_cycle
-            }]
-        );
+        assert_eq!(rf.take_frames(), [SentFrame { bytes: vec![0x5A; 11], start_cycle: 1_000, end_cycle }]);
         assert_eq!(rf.next_event(), u64::MAX);
         assert_eq!(rf.refused(), 0);
     }
@@ -561,13 +498,7 @@ mod tests {
     fn sending_what_is_not_loaded_or_already_sent_is_refused() {
         let mut rf = RfController::new();
         rf.command(TX_SEND, 3, Ok(()), HCLK_HZ);
-        assert_eq!(
-            rf.refusals(),
-            [Refusal {
-                cycle: 3,
-                why: Why::NotLoaded
-            }]
-        );
+        assert_eq!(rf.refusals(), [Refusal { cycle: 3, why: Why::NotLoaded }]);
         assert_eq!(rf.read(ERROR), Ok(TX_CUTOFF));
         assert!(!rf.line());
         rf.write(ERROR_CONFIG, TX_CUTOFF).unwrap();
@@ -607,15 +538,7 @@ mod tests {
     fn a_packet_outside_ram_is_refused() {
         let mut rf = asked(9);
         rf.give_dma(&[0; 4], 0);
-        assert_eq!(
-            whys(&rf),
-            [Why::NotInRam {
-                dma: Dma {
-                    address: 0x2000_0100,
-                    len: 9
-                }
-            }]
-        );
+        assert_eq!(whys(&rf), [Why::NotInRam { dma: Dma { address: 0x2000_0100, len: 9 } }]);
     }
 
     #[test]

@@ -66,10 +66,7 @@ pub struct Ratio {
 
 impl Ratio {
     /// A tick every core cycle: the lighthouse set-up, both clocks divided from HF to 10 MHz.
-    pub const ONE: Self = Self {
-        ticks: 1,
-        cycles: 1,
-    };
+    pub const ONE: Self = Self { ticks: 1, cycles: 1 };
 
     /// `ticks` every `cycles` core cycles; `None` if either is zero or there are more ticks than cycles.
     pub const fn new(ticks: u32, cycles: u32) -> Option<Self> {
@@ -141,10 +138,7 @@ impl RfTimer {
         if !self.enabled {
             return self.base_counter;
         }
-        let ticks = self
-            .ratio
-            .ticks_at(cycle)
-            .saturating_sub(self.ratio.ticks_at(self.base_cycle));
+        let ticks = self.ratio.ticks_at(cycle).saturating_sub(self.ratio.ticks_at(self.base_cycle));
         let period = self.period();
         let counter = match ticks {
             0 => return self.base_counter,
@@ -174,18 +168,14 @@ impl RfTimer {
         } else {
             self.period() - u64::from(self.base_counter - value)
         };
-        self.ratio
-            .cycle_of(u128::from(self.ratio.ticks_at(self.base_cycle)) + u128::from(ticks))
+        self.ratio.cycle_of(u128::from(self.ratio.ticks_at(self.base_cycle)) + u128::from(ticks))
     }
 
     pub(super) fn next_event(&self) -> u64 {
         if !self.enabled {
             return u64::MAX;
         }
-        (0..self.compares.len())
-            .map(|index| self.match_at(index))
-            .min()
-            .unwrap_or(u64::MAX)
+        (0..self.compares.len()).map(|index| self.match_at(index)).min().unwrap_or(u64::MAX)
     }
 
     /// Lets the matches at `cycle` happen; the radio's CONTROL bits that they set.
@@ -229,31 +219,20 @@ impl RfTimer {
             return Err("RFTIMER registers are words");
         }
         match offset {
-            CONTROL => {
-                Ok((u32::from(self.enabled) * ENABLE) | (u32::from(self.interrupt) * INTERRUPT))
-            }
+            CONTROL => Ok((u32::from(self.enabled) * ENABLE) | (u32::from(self.interrupt) * INTERRUPT)),
             COUNTER => Ok(self.counter(cycle)),
             MAX => Ok(self.max),
             COMPARE..=COMPARE_LAST => Ok(self.compares[word(offset - COMPARE)].value),
-            COMPARE_CONTROL..=COMPARE_CONTROL_LAST => {
-                Ok(self.compares[word(offset - COMPARE_CONTROL)].control)
-            }
+            COMPARE_CONTROL..=COMPARE_CONTROL_LAST => Ok(self.compares[word(offset - COMPARE_CONTROL)].control),
             CAPTURE..=CAPTURE_LAST => Ok(self.captures[word(offset - CAPTURE)].value),
-            CAPTURE_CONTROL..=CAPTURE_CONTROL_LAST => {
-                Ok(self.captures[word(offset - CAPTURE_CONTROL)].control)
-            }
+            CAPTURE_CONTROL..=CAPTURE_CONTROL_LAST => Ok(self.captures[word(offset - CAPTURE_CONTROL)].control),
             INT => Ok(self.flags),
             INT_CLEAR => Err("RFTIMER INT_CLEAR can only be written"),
             _ => Err("no RFTIMER register here"),
         }
     }
 
-    pub(super) fn write(
-        &mut self,
-        offset: u32,
-        value: u32,
-        cycle: u64,
-    ) -> Result<(), &'static str> {
+    pub(super) fn write(&mut self, offset: u32, value: u32, cycle: u64) -> Result<(), &'static str> {
         if !offset.is_multiple_of(4) {
             return Err("RFTIMER registers are words");
         }
@@ -302,9 +281,7 @@ mod tests {
     fn running(ratio: Ratio, max: u32) -> RfTimer {
         let mut timer = RfTimer::new(ratio);
         timer.write(MAX, max, 0).unwrap();
-        timer
-            .write(CONTROL, ENABLE | INTERRUPT | COUNT_RESET, 0)
-            .unwrap();
+        timer.write(CONTROL, ENABLE | INTERRUPT | COUNT_RESET, 0).unwrap();
         timer
     }
 
@@ -352,9 +329,7 @@ mod tests {
     fn a_compare_interrupts_at_its_cycle_until_it_is_cleared() {
         let mut timer = running(Ratio::ONE, u32::MAX);
         timer.write(COMPARE + 4, 500, 10).unwrap();
-        timer
-            .write(COMPARE_CONTROL + 4, COMPARE_ENABLE | COMPARE_INTERRUPT, 11)
-            .unwrap();
+        timer.write(COMPARE_CONTROL + 4, COMPARE_ENABLE | COMPARE_INTERRUPT, 11).unwrap();
         assert_eq!(timer.next_event(), 500);
         assert_eq!(timer.fire(500), 0);
         assert!(timer.line());
@@ -369,9 +344,7 @@ mod tests {
     fn a_compare_beyond_max_never_matches() {
         let mut timer = running(Ratio::ONE, 99);
         timer.write(COMPARE, 100, 0).unwrap();
-        timer
-            .write(COMPARE_CONTROL, COMPARE_ENABLE | COMPARE_INTERRUPT, 0)
-            .unwrap();
+        timer.write(COMPARE_CONTROL, COMPARE_ENABLE | COMPARE_INTERRUPT, 0).unwrap();
         assert_eq!(timer.next_event(), u64::MAX);
     }
 
@@ -379,9 +352,7 @@ mod tests {
     fn a_compare_drives_the_radio_every_period() {
         let mut timer = running(Ratio::ONE, 99);
         timer.write(COMPARE, 7, 0).unwrap();
-        timer
-            .write(COMPARE_CONTROL, COMPARE_ENABLE | 0x8, 0)
-            .unwrap();
+        timer.write(COMPARE_CONTROL, COMPARE_ENABLE | 0x8, 0).unwrap();
         for cycle in [7, 107, 207] {
             assert_eq!(timer.next_event(), cycle);
             assert_eq!(timer.fire(cycle), 0x2);
@@ -445,11 +416,7 @@ mod tests {
             if !tick || self.control & ENABLE == 0 {
                 return;
             }
-            self.counter = if self.counter >= self.max {
-                0
-            } else {
-                self.counter + 1
-            };
+            self.counter = if self.counter >= self.max { 0 } else { self.counter + 1 };
             for (index, compare) in self.compares.iter().enumerate() {
                 if compare.control & COMPARE_ENABLE != 0 && compare.value == self.counter {
                     self.actions += (compare.control & COMPARE_ACTIONS) >> COMPARE_ACTIONS_SHIFT;

@@ -34,12 +34,7 @@ impl Uart {
         }
     }
 
-    pub(super) fn write(
-        &mut self,
-        offset: u32,
-        value: u32,
-        cycle: u64,
-    ) -> Result<(), &'static str> {
+    pub(super) fn write(&mut self, offset: u32, value: u32, cycle: u64) -> Result<(), &'static str> {
         if offset != DATA {
             return Err("no UART register here");
         }

@@ -9,3 +9,4 @@ pub mod memory;
 pub mod mote;
 pub mod scum3c;
 pub mod semihosting;
+pub mod world;

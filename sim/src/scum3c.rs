@@ -445,9 +445,9 @@ mod tests {
     #[test]
     fn the_receive_address_and_the_output_pads_read_back() {
         let mut chip = Scum3c::new(Config::default());
-        put(&mut chip, DMA + DMA_RX_ADDR, 0x2000_1000, 0);
+        put(&mut chip, DMA_BASE + DMA_RX_ADDR, 0x2000_1000, 0);
         put(&mut chip, GPIO + 0x4_0000, 0x8001, 0);
-        assert_eq!(get(&mut chip, DMA + DMA_RX_ADDR, 0), 0x2000_1000);
+        assert_eq!(get(&mut chip, DMA_BASE + DMA_RX_ADDR, 0), 0x2000_1000);
         assert_eq!(chip.gpio_output(), 0x8001);
     }
 
@@ -477,7 +477,7 @@ mod tests {
     }
 
     fn any_address() -> impl Strategy<Value = u32> {
-        let base = proptest::sample::select(vec![RF, DMA, RFTIMER, ADC, UART, ANALOG_CFG, GPIO]);
+        let base = proptest::sample::select(vec![RF, DMA_BASE, RFTIMER, ADC, UART, ANALOG_CFG, GPIO]);
         prop_oneof![
             4 => (base.clone(), 0_u32..0x20).prop_map(|(base, word)| base + word * 4),
             2 => (0_u32..32).prop_map(acfg),

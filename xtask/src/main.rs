@@ -1,2 +1,60 @@
 //! Everything a person types.
-fn main() {}
+//!
+//! One verb, one file. The verbs need no flags in the common case and work from any folder of the repository.
+//!
+//! What can go wrong: something is missing on the computer. A verb first gets what it needs, and says so; what it
+//! cannot get itself it names.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+mod ci;
+mod process;
+mod qemu;
+mod setup;
+mod test;
+
+/// Motes that find their own position in the light of two Lighthouse stations
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask")]
+struct Arguments {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Run every test: on this computer, and on an emulated Cortex-M0 like the one in the mote
+    ///
+    /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
+    /// system's package manager.
+    Test,
+    /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test
+    Ci,
+    /// Run one program on the emulated Cortex-M0 and print its log; cargo calls this for `cargo test --target ...`
+    #[command(hide = true)]
+    Qemu {
+        /// The program, as the linker made it
+        elf: PathBuf,
+        /// How long it may run before it counts as hanging
+        #[arg(long, value_name = "SECONDS", default_value_t = 120)]
+        timeout: u64,
+    },
+}
+
+fn main() -> ExitCode {
+    let done = match Arguments::parse().verb {
+        Verb::Test => test::test().map(|()| 0),
+        Verb::Ci => ci::ci().map(|()| 0),
+        Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),
+    };
+    match done {
+        Ok(code) => ExitCode::from(code),
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! All that a change has to pass.
+//!
+//! What can go wrong: lints that the computer never sees. A board's binary compiles for its own processor only, so
+//! each board is linted by itself, with its own feature.
+
+use anyhow::Result;
+
+use crate::process::{cargo, run};
+use crate::setup;
+use crate::test::{Tally, run_all};
+
+/// A board as cargo has to be told about it.
+struct Board {
+    feature: &'static str,
+    target: &'static str,
+    /// What is compiled for it.
+    what: &'static [&'static str],
+}
+
+const BOARDS: [Board; 2] = [
+    Board { feature: "scum3c", target: setup::CORTEX_M0, what: &["--lib", "--bins"] },
+    Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
+];
+
+/// Runs formatting, lints and tests, and closes with how many passed.
+pub(crate) fn ci() -> Result<()> {
+    let mut tally = Tally::default();
+    tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
+    tally.check("lints for this computer", || {
+        run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]))
+    });
+    for board in &BOARDS {
+        tally.check(&format!("lints for {}", board.feature), || lint(board));
+    }
+    run_all(&mut tally);
+    tally.close()
+}
+
+fn lint(board: &Board) -> Result<()> {
+    setup::target(board.target)?;
+    let mut command = cargo(&["clippy", "--target", board.target, "--features", board.feature]);
+    run(command.args(board.what).args(["--", "-D", "warnings"]))
+}

@@ -1,0 +1,94 @@
+//! What a verb needs on the computer, fetched if it is not there.
+//!
+//! Rust targets come through rustup, QEMU through the system's package manager: nothing is installed without a line
+//! that says so.
+//!
+//! What can go wrong: no rustup, no known package manager, no right to install. The error then says what to type.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+
+use crate::process::{root, run};
+use crate::qemu;
+
+/// SCuM-3C and the emulated board both have a Cortex-M0.
+pub(crate) const CORTEX_M0: &str = "thumbv6m-none-eabi";
+
+/// How to get QEMU by hand.
+const QEMU_BY_HAND: &str = "\
+    Debian, Ubuntu: sudo apt-get install qemu-system-arm\n  \
+    Fedora:         sudo dnf install qemu-system-arm-core\n  \
+    Arch:           sudo pacman -S qemu-system-arm\n  \
+    macOS:          brew install qemu\n  \
+    elsewhere:      https://www.qemu.org/download";
+
+/// Makes sure that the pinned toolchain can compile for `target`.
+pub(crate) fn target(target: &str) -> Result<()> {
+    if has_target(target)? {
+        return Ok(());
+    }
+    println!("The Rust toolchain cannot compile for {target} yet: adding that through rustup.");
+    run(Command::new("rustup").args(["target", "add", target])).with_context(|| {
+        format!("{target} is missing; with rustup (https://rustup.rs) it is `rustup target add {target}`")
+    })
+}
+
+/// Whether the core library for `target` is there.
+fn has_target(target: &str) -> Result<bool> {
+    let asked = Command::new("rustc")
+        .args(["--print", "target-libdir", "--target", target])
+        .current_dir(root())
+        .output()
+        .context("cannot start rustc")?;
+    Ok(asked.status.success() && Path::new(String::from_utf8_lossy(&asked.stdout).trim()).is_dir())
+}
+
+/// Makes sure that QEMU is there and knows the board.
+pub(crate) fn emulator() -> Result<()> {
+    if has_board() {
+        return Ok(());
+    }
+    if !runs(Command::new("apt-get").arg("--version")) {
+        bail!("QEMU with its `{}` board is not installed. Install it and try again:\n  {QEMU_BY_HAND}", qemu::MACHINE);
+    }
+    println!("QEMU is not installed: installing the package qemu-system-arm through apt-get.");
+    // A list that cannot be refreshed may still be good enough; if not, the installation says so.
+    if let Err(error) = apt_get(&["update"]) {
+        println!("{error:#}; going on with the package lists as they are");
+    }
+    apt_get(&["install", "--yes", "--no-install-recommends", "qemu-system-arm"]).with_context(|| {
+        format!("QEMU could not be installed. Install it by hand and try again:\n  {QEMU_BY_HAND}\n ")
+    })?;
+    if !has_board() {
+        bail!("{} was installed, but it does not start or has no `{}` board", qemu::PROGRAM, qemu::MACHINE);
+    }
+    Ok(())
+}
+
+fn has_board() -> bool {
+    let asked = Command::new(qemu::PROGRAM).args(["-machine", "help"]).stdin(Stdio::null()).output();
+    asked.is_ok_and(|asked| String::from_utf8_lossy(&asked.stdout).lines().any(|line| line.starts_with(qemu::MACHINE)))
+}
+
+/// Runs apt-get with the rights it needs: as root, or through a sudo that asks no password.
+fn apt_get(arguments: &[&str]) -> Result<()> {
+    let asked = Command::new("id").arg("-u").output().context("cannot start id")?;
+    let mut command = if asked.stdout.trim_ascii() == b"0" {
+        Command::new("env")
+    } else if runs(Command::new("sudo").args(["-n", "true"])) {
+        let mut sudo = Command::new("sudo");
+        sudo.args(["-n", "env"]);
+        sudo
+    } else {
+        bail!("apt-get needs root, and sudo wants a password");
+    };
+    run(command.args(["DEBIAN_FRONTEND=noninteractive", "apt-get"]).args(arguments))
+}
+
+/// Whether a program is there and content.
+fn runs(command: &mut Command) -> bool {
+    let asked = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
+    asked.is_ok_and(|status| status.success())
+}

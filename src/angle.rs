@@ -1,9 +1,13 @@
-//! Sweep time to angle: the ratio to the measured half turn, plus the rotor's factory phase.
+//! Sweep time to angle: the ratio to the measured half turn, plus the rotor's factory terms.
 //!
 //! A rotor turns 180 degrees per half turn, so `time since sync / half turn` is the angle whatever the rate of the
 //! mote's clock: the lighthouse is the crystal.
 //!
 //! What can go wrong: a pulse that was no sweep gives an angle outside the rotor's field of view; it is rejected here.
+
+mod factory;
+
+pub use factory::Rotor;
 
 use crate::sweep::{Axis, HALF_TURN_BITS, HalfTurn, Station, Sweep};
 use crate::time::Ticks;
@@ -20,17 +24,18 @@ pub const FIELD_OF_VIEW: i32 = (1 << HALF_TURN_BITS) / 3;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Angle(pub i32);
 
-/// Factory phase per rotor, in [`Angle`] units, `[station][axis]`: ideal = measured + phase.
+/// The factory terms of every rotor, `[station][axis]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Config {
-    /// Factory phases; real stations have up to 0.06 rad.
-    pub phase: [[i32; 2]; 2],
+    /// Indexed by [`Station`] and [`Axis`].
+    pub rotors: [[Rotor; 2]; 2],
 }
 
-/// How many sweeps were turned away.
+/// The newest angle of every rotor, and how many sweeps were turned away.
 #[derive(Debug, Clone, Default)]
 pub struct State {
     outside: u16,
+    newest: [[i32; 2]; 2],
 }
 
 impl State {
@@ -61,11 +66,14 @@ pub struct Bearing {
 #[inline]
 pub fn step(config: &Config, state: &mut State, sweep: Sweep) -> Option<Bearing> {
     let measured = sweep.half_turn.share(sweep.since_sync) as i32 - (1 << (HALF_TURN_BITS - 1));
-    let ideal = measured.wrapping_add(config.phase[sweep.station as usize][sweep.axis as usize]);
+    let (station, axis) = (sweep.station as usize, sweep.axis as usize);
+    let newest = &mut state.newest[station];
+    let ideal = factory::ideal(&config.rotors[station][axis], measured, newest[1 - axis]);
     if !(-FIELD_OF_VIEW..=FIELD_OF_VIEW).contains(&ideal) {
         state.outside = state.outside.wrapping_add(1);
         return None;
     }
+    newest[axis] = ideal;
     Some(Bearing {
         station: sweep.station,
         axis: sweep.axis,

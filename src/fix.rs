@@ -1,7 +1,18 @@
-//! Four angles to a position.
+//! Four angles to one position: the direct linear transform (DLT) of the paper, solved in integers.
+//!
+//! Two stations see the mote along two rays. Their projection matrices P = [R | -R t] give four linear equations
+//! for the three coordinates; the answer is the inhomogeneous least-squares one. A Cortex-M0 has a 32-bit multiplier
+//! and nothing else, so everything about the room is worked out before, by `calib/quantise.rs`, and arrives here as
+//! a [`Calib`]: a plain value, meant to be a `const`, so that the compiler folds its numbers and shifts into the code.
 //!
 //! What can go wrong: an angle is too old (the mote has moved since), the rays pass each other too far (one of them is
-//! a reflection), the geometry is hopeless. Each means no fix, never a stale or a wild one; each is counted.
+//! a reflection), they are too close to parallel. Each means no fix, never a stale or a wild one; each is counted.
+
+mod general;
+mod layout;
+mod tan;
+
+pub use layout::{Calib, General, Reject, Solution};
 
 use crate::angle::{Angle, Bearing};
 use crate::sweep::HalfTurn;
@@ -77,17 +88,17 @@ pub fn step(config: &Config, state: &mut State, bearing: Bearing) -> Option<Fix>
     }
 }
 
-/// placeholder
-#[derive(Debug, Clone)]
-pub struct Calib;
-/// placeholder
-pub struct Solution {
-    /// p
-    pub position: [i32; 3],
-    /// m
-    pub mismatch: i32,
+/// Finds the mote from `angles` = azimuth and elevation of station A, azimuth and elevation of station B.
+///
+/// # Errors
+/// See [`Reject`].
+#[inline(always)]
+pub fn solve(calib: &Calib, angles: &[Angle; 4]) -> Result<Solution, Reject> {
+    let raw = [angles[0].0, angles[1].0, angles[2].0, angles[3].0];
+    match calib {
+        Calib::General(general) => general::solve(general, raw),
+    }
 }
-/// placeholder
-pub fn solve(_c: &Calib, _a: &[Angle; 4]) -> Result<Solution, ()> {
-    Err(())
-}
+
+#[cfg(test)]
+mod tests;

@@ -26,6 +26,15 @@ pub struct BusFault {
     pub why: &'static str,
 }
 
+/// A stretch of memory that a device wants to read by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Dma {
+    /// Where it begins.
+    pub address: u32,
+    /// How many bytes it has.
+    pub len: u32,
+}
+
 /// The devices of a chip: memory-mapped registers, interrupt lines, and their own future.
 pub trait Bus {
     /// Reads a register at `cycle`.
@@ -44,4 +53,13 @@ pub trait Bus {
 
     /// Lets every event due at or before `cycle` happen.
     fn advance(&mut self, cycle: u64);
+
+    /// What a device wants to read from the machine's memory, asked after every register access and every `advance`,
+    /// and handed out once.
+    fn take_dma(&mut self) -> Option<Dma> {
+        None
+    }
+
+    /// The bytes it asked for; fewer mean that they are not all in memory.
+    fn give_dma(&mut self, _bytes: &[u8]) {}
 }

@@ -1,2 +1,12 @@
 //! The virtual SCuM-3C and the world of light around it.
+#![forbid(unsafe_code)]
+
 pub mod bus;
+pub mod core;
+pub mod elf;
+pub mod machine;
+pub mod memory;
+pub mod mote;
+pub mod scum3c;
+pub mod semihosting;
+pub mod world;

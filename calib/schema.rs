@@ -1,0 +1,403 @@
+//! What a calibration file may say, and the one reader of it.
+//!
+//! Used by build.rs and by xtask from this same file. Everything is SI. A key that nobody knows is an error, so that a
+//! typo never means a default.
+//!
+//! What can go wrong: every complaint names the file, the line, the field and the value.
+
+use std::fmt;
+use std::path::Path;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// A measured room.
+#[derive(Debug, Clone)]
+pub struct Calibration {
+    /// Where the numbers come from, as (key, text), sorted by key; free text.
+    pub provenance: Vec<(String, String)>,
+    /// Stations A and B.
+    pub stations: [Station; 2],
+    /// Where the mote may be, if declared.
+    pub room: Option<RoomBox>,
+    /// What the mote is told besides.
+    pub mote: Mote,
+}
+
+/// One station.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Station {
+    /// World to station: c = R (p - position).
+    pub rotation: [[f64; 3]; 3],
+    /// In the world, metres.
+    pub position: [f64; 3],
+    /// Factory terms of the azimuth and the elevation rotor.
+    pub factory: [Rotor; 2],
+}
+
+/// The factory calibration of one rotor, radians.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Rotor {
+    /// Ideal angle minus measured angle, straight ahead.
+    pub phase: f64,
+    /// Tilt of the laser plane.
+    pub tilt: f64,
+    /// Curve of the laser plane.
+    pub curve: f64,
+    /// Phase of the once-per-turn term.
+    pub gibphase: f64,
+    /// Magnitude of the once-per-turn term.
+    pub gibmag: f64,
+}
+
+/// An axis-aligned box in the world, metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RoomBox {
+    /// The corner of the smallest coordinates.
+    pub min: [f64; 3],
+    /// The corner of the largest.
+    pub max: [f64; 3],
+}
+
+/// Settings of the mote itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mote {
+    /// Short address, 0 ..= 0xFFFD.
+    pub id: u16,
+    /// PAN id, 0 ..= 0xFFFE.
+    pub pan: u16,
+    /// At most one report per so many half turns (8.333 ms).
+    pub report_every_half_turns: u16,
+    /// The oldest angle a fix may use, ms.
+    pub max_angle_age_ms: f64,
+}
+
+impl Default for Mote {
+    fn default() -> Self {
+        Self { id: 1, pan: 0x4C48, report_every_half_turns: 1, max_angle_age_ms: 100.0 }
+    }
+}
+
+/// What is wrong, and where.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Error {
+    /// The file as it was named.
+    pub file: String,
+    /// Counted from 1.
+    pub line: usize,
+    /// The dotted path of the field; empty when the file does not parse at all.
+    pub field: String,
+    /// What is wrong with which value.
+    pub what: String,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}: ", self.file, self.line)?;
+        if !self.field.is_empty() {
+            write!(f, "{}: ", self.field)?;
+        }
+        f.write_str(&self.what)
+    }
+}
+
+impl std::error::Error for Error {}
+
+/// Reads a calibration file.
+///
+/// # Errors
+/// The first thing wrong with it.
+pub fn open(path: &Path) -> Result<Calibration, Error> {
+    let file = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|error| Error {
+        file: file.clone(),
+        line: 0,
+        field: String::new(),
+        what: format!("cannot be read: {error}"),
+    })?;
+    read(&file, &text)
+}
+
+/// Reads a calibration from `text`; `file` is for complaints.
+///
+/// # Errors
+/// The first thing wrong with it.
+pub fn read(file: &str, text: &str) -> Result<Calibration, Error> {
+    let source = Source { file, text };
+    let root = DeTable::parse(text).map_err(|error| {
+        let start = error.span().map_or(0, |span| span.start);
+        source.error(start, "", error.message().to_string())
+    })?;
+    let root = Table { source, path: String::new(), at: root.span().start, table: root.get_ref() };
+    root.only(&["provenance", "station", "room", "mote"])?;
+    let provenance = match root.table("provenance")? {
+        Some(table) => table.texts()?,
+        None => Vec::new(),
+    };
+    let both = root.need_table("station")?;
+    both.only(&["A", "B"])?;
+    let stations = [station(&both, "A")?, station(&both, "B")?];
+    let room = root.table("room")?.map(|table| room(&table)).transpose()?;
+    let mote = root.table("mote")?.map_or(Ok(Mote::default()), |table| mote(&table))?;
+    Ok(Calibration { provenance, stations, room, mote })
+}
+
+/// How far R R^T may be from the identity: nine printed decimals leave 1e-8, hand-typed numbers more.
+const ROTATION_TOLERANCE: f64 = 1e-4;
+/// No room is larger, metres.
+const POSITION_LIMIT_M: f64 = 100.0;
+/// The limits of the factory terms, radians; gibphase is any angle. Stations seen in the field have phases up to 0.06,
+/// tilts up to 0.006, curves up to 0.007, gibmags up to 0.017; the mote's arithmetic holds tilt and gibmag to here.
+const PHASE_LIMIT_RAD: f64 = 0.2;
+const TILT_LIMIT_RAD: f64 = 0.02;
+const CURVE_LIMIT_RAD: f64 = 0.1;
+const GIBMAG_LIMIT_RAD: f64 = 0.03;
+
+fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
+    let table = both.need_table(name)?;
+    table.only(&["rotation", "position", "factory"])?;
+    let rotation: [[f64; 3]; 3] = table.need("rotation", |value, at| {
+        let rows = at.array::<3>(value)?;
+        let mut rotation = [[0.0; 3]; 3];
+        for (row, value) in rotation.iter_mut().zip(rows) {
+            *row = at.vector(value)?;
+        }
+        Ok(rotation)
+    })?;
+    table.check("rotation", rotation_flaw(&rotation))?;
+    let position = table.need("position", |value, at| at.vector(value))?;
+    let far = position.iter().find(|coordinate| coordinate.abs() > POSITION_LIMIT_M);
+    table.check("position", far.map(|far| format!("{far} m is beyond {POSITION_LIMIT_M} m; positions are metres")))?;
+    let mut factory = [Rotor::default(); 2];
+    if let Some(terms) = table.table("factory")? {
+        terms.only(&["az", "el"])?;
+        for (rotor, axis) in factory.iter_mut().zip(["az", "el"]) {
+            if let Some(terms) = terms.table(axis)? {
+                *rotor = self::rotor(&terms)?;
+            }
+        }
+    }
+    Ok(Station { rotation, position, factory })
+}
+
+fn rotor(terms: &Table<'_>) -> Result<Rotor, Error> {
+    terms.only(&["phase", "tilt", "curve", "gibphase", "gibmag"])?;
+    let small = |key: &str, limit: f64| -> Result<f64, Error> {
+        let value = terms.optional(key, |value, at| at.number(value))?.unwrap_or(0.0);
+        let flaw = (value.abs() > limit)
+            .then(|| format!("{value} rad is beyond {limit} rad; factory terms are small angles"));
+        terms.check(key, flaw)?;
+        Ok(value)
+    };
+    Ok(Rotor {
+        phase: small("phase", PHASE_LIMIT_RAD)?,
+        tilt: small("tilt", TILT_LIMIT_RAD)?,
+        curve: small("curve", CURVE_LIMIT_RAD)?,
+        gibphase: terms.optional("gibphase", |value, at| at.number(value))?.unwrap_or(0.0),
+        gibmag: small("gibmag", GIBMAG_LIMIT_RAD)?,
+    })
+}
+
+fn room(table: &Table<'_>) -> Result<RoomBox, Error> {
+    table.only(&["min", "max"])?;
+    let min: [f64; 3] = table.need("min", |value, at| at.vector(value))?;
+    let max: [f64; 3] = table.need("max", |value, at| at.vector(value))?;
+    let bad = (0..3).find(|&axis| max[axis] <= min[axis]);
+    table.check("max", bad.map(|axis| format!("{} is not above min's {}", max[axis], min[axis])))?;
+    Ok(RoomBox { min, max })
+}
+
+fn mote(table: &Table<'_>) -> Result<Mote, Error> {
+    table.only(&["id", "pan", "report_every_half_turns", "max_angle_age_ms"])?;
+    let usual = Mote::default();
+    let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
+        Ok(table.optional(key, |value, at| at.whole(value, max))?.unwrap_or(usual))
+    };
+    let max_angle_age_ms =
+        table.optional("max_angle_age_ms", |value, at| at.number(value))?.unwrap_or(usual.max_angle_age_ms);
+    let flaw =
+        (!(10.0..=2000.0).contains(&max_angle_age_ms)).then(|| format!("{max_angle_age_ms} ms is not in 10 ..= 2000"));
+    table.check("max_angle_age_ms", flaw)?;
+    let report_every_half_turns = whole("report_every_half_turns", usual.report_every_half_turns, 12_000)?;
+    let flaw = (report_every_half_turns == 0).then(|| "0 would report without end; 1 reports every fix".to_string());
+    table.check("report_every_half_turns", flaw)?;
+    Ok(Mote {
+        id: whole("id", usual.id, 0xFFFD)?,
+        pan: whole("pan", usual.pan, 0xFFFE)?,
+        report_every_half_turns,
+        max_angle_age_ms,
+    })
+}
+
+fn rotation_flaw(r: &[[f64; 3]; 3]) -> Option<String> {
+    for i in 0..3 {
+        for j in 0..3 {
+            let dot: f64 = (0..3).map(|k| r[i][k] * r[j][k]).sum();
+            let want = if i == j { 1.0 } else { 0.0 };
+            if (dot - want).abs() > ROTATION_TOLERANCE {
+                return Some(format!("is no rotation: rows {i} and {j} multiply to {dot:.6}, not {want}"));
+            }
+        }
+    }
+    let cross = |a: [f64; 3], b: [f64; 3]| {
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    };
+    let third = cross(r[0], r[1]);
+    let determinant: f64 = (0..3).map(|k| third[k] * r[2][k]).sum();
+    (determinant < 0.0).then(|| "is a mirror image: its determinant is -1".to_string())
+}
+
+/// The text and its name, for line numbers.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    file: &'a str,
+    text: &'a str,
+}
+
+impl Source<'_> {
+    fn error(&self, byte: usize, field: &str, what: String) -> Error {
+        let before = self.text.get(..byte).unwrap_or(self.text);
+        let line = 1 + before.matches('\n').count();
+        Error { file: self.file.to_string(), line, field: field.to_string(), what }
+    }
+}
+
+/// A table and where it stands.
+struct Table<'a> {
+    source: Source<'a>,
+    path: String,
+    at: usize,
+    table: &'a DeTable<'a>,
+}
+
+/// A value's place, for reading it.
+struct At<'a> {
+    source: Source<'a>,
+    field: String,
+}
+
+impl<'a> Table<'a> {
+    fn field(&self, key: &str) -> String {
+        if self.path.is_empty() { key.to_string() } else { format!("{}.{key}", self.path) }
+    }
+
+    fn only(&self, known: &[&str]) -> Result<(), Error> {
+        match self.table.iter().find(|(key, _)| !known.contains(&key.get_ref().as_ref())) {
+            None => Ok(()),
+            Some((key, _)) => {
+                let field = self.field(key.get_ref());
+                Err(self.source.error(key.span().start, &field, format!("unknown; known here: {}", known.join(", "))))
+            }
+        }
+    }
+
+    fn get(&self, key: &str) -> Option<&'a Spanned<DeValue<'a>>> {
+        self.table.iter().find(|(found, _)| found.get_ref().as_ref() == key).map(|(_, value)| value)
+    }
+
+    fn table(&self, key: &str) -> Result<Option<Table<'a>>, Error> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let path = self.field(key);
+        match value.get_ref() {
+            DeValue::Table(table) => {
+                Ok(Some(Table { source: self.source, path, at: value.span().start, table }))
+            }
+            other => Err(self.source.error(value.span().start, &path, format!("{} is no table", shown(other)))),
+        }
+    }
+
+    fn need_table(&self, key: &str) -> Result<Table<'a>, Error> {
+        self.table(key)?.ok_or_else(|| self.missing(key))
+    }
+
+    fn missing(&self, key: &str) -> Error {
+        self.source.error(self.at, &self.field(key), "missing".to_string())
+    }
+
+    fn optional<T>(
+        &self,
+        key: &str,
+        read: impl Fn(&'a Spanned<DeValue<'a>>, &At<'a>) -> Result<T, Error>,
+    ) -> Result<Option<T>, Error> {
+        let at = At { source: self.source, field: self.field(key) };
+        self.get(key).map(|value| read(value, &at)).transpose()
+    }
+
+    fn need<T>(
+        &self,
+        key: &str,
+        read: impl Fn(&'a Spanned<DeValue<'a>>, &At<'a>) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        self.optional(key, read)?.ok_or_else(|| self.missing(key))
+    }
+
+    /// Complains at `key` if there is a flaw.
+    fn check(&self, key: &str, flaw: Option<String>) -> Result<(), Error> {
+        let at = self.get(key).map_or(self.at, |value| value.span().start);
+        flaw.map_or(Ok(()), |what| Err(self.source.error(at, &self.field(key), what)))
+    }
+
+    fn texts(&self) -> Result<Vec<(String, String)>, Error> {
+        Ok(self
+            .table
+            .iter()
+            .map(|(key, value)| (key.get_ref().to_string(), shown(value.get_ref())))
+            .collect())
+    }
+}
+
+impl<'a> At<'a> {
+    fn error(&self, value: &Spanned<DeValue<'_>>, what: String) -> Error {
+        self.source.error(value.span().start, &self.field, what)
+    }
+
+    fn number(&self, value: &Spanned<DeValue<'_>>) -> Result<f64, Error> {
+        let text = shown(value.get_ref());
+        let number = match value.get_ref() {
+            DeValue::Float(_) | DeValue::Integer(_) => text.replace('_', "").parse::<f64>().ok(),
+            _ => None,
+        };
+        match number {
+            Some(number) if number.is_finite() => Ok(number),
+            Some(_) => Err(self.error(value, format!("{text} is not finite"))),
+            None => Err(self.error(value, format!("{text} is no number"))),
+        }
+    }
+
+    fn whole(&self, value: &Spanned<DeValue<'_>>, max: u16) -> Result<u16, Error> {
+        let whole = match value.get_ref() {
+            DeValue::Integer(integer) => i64::from_str_radix(&integer.as_str().replace('_', ""), integer.radix()).ok(),
+            _ => None,
+        };
+        whole.and_then(|whole| u16::try_from(whole).ok()).filter(|whole| *whole <= max).ok_or_else(|| {
+            self.error(value, format!("{} is no whole number in 0 ..= {max}", shown(value.get_ref())))
+        })
+    }
+
+    fn array<const N: usize>(&self, value: &'a Spanned<DeValue<'a>>) -> Result<[&'a Spanned<DeValue<'a>>; N], Error> {
+        let DeValue::Array(array) = value.get_ref() else {
+            return Err(self.error(value, format!("{} is no list of {N}", shown(value.get_ref()))));
+        };
+        let items: Vec<_> = array.iter().collect();
+        let count = items.len();
+        items.try_into().map_err(|_| self.error(value, format!("has {count} entries, not {N}")))
+    }
+
+    fn vector(&self, value: &'a Spanned<DeValue<'a>>) -> Result<[f64; 3], Error> {
+        let [x, y, z] = self.array::<3>(value)?;
+        Ok([self.number(x)?, self.number(y)?, self.number(z)?])
+    }
+}
+
+/// The value as a person wrote it, or nearly.
+fn shown(value: &DeValue<'_>) -> String {
+    match value {
+        DeValue::String(text) => format!("{text:?}"),
+        DeValue::Integer(integer) => integer.as_str().to_string(),
+        DeValue::Float(float) => float.as_str().to_string(),
+        DeValue::Boolean(truth) => truth.to_string(),
+        DeValue::Datetime(date) => date.to_string(),
+        DeValue::Array(_) => "a list".to_string(),
+        DeValue::Table(_) => "a table".to_string(),
+    }
+}

@@ -1,0 +1,120 @@
+//! One virtual mote: the machine with the chip's devices, running the very image that is flashed.
+//!
+//! Light goes in as edges at exact cycles, frames and log bytes come out with theirs.
+//!
+//! What can go wrong: the firmware faults, locks up or resets. The run stops there and says where and why.
+
+use std::num::NonZeroU32;
+
+use crate::elf::{LoadError, Symbols};
+use crate::machine::{Config, Machine, Stop};
+use crate::scum3c::{self, EdgeError, Scum3c, SentFrame};
+
+/// A mote from power-on.
+#[derive(Debug)]
+pub struct Mote {
+    /// The chip, for looking inside.
+    pub machine: Machine<Scum3c>,
+    /// Addresses of the image by name.
+    pub symbols: Symbols,
+}
+
+/// Why a mote no longer runs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Halted {
+    /// What the machine says.
+    pub stop: Stop,
+    /// When, in cycles since power-on.
+    pub cycle: u64,
+    /// The function it happened in, where the image knows.
+    pub function: Option<String>,
+}
+
+impl std::fmt::Display for Halted {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "the mote stopped at cycle {}: {}", self.cycle, self.stop)?;
+        self.function.as_ref().map_or(Ok(()), |function| write!(f, " (in {function})"))
+    }
+}
+
+impl std::error::Error for Halted {}
+
+/// How the core spent its time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Load {
+    /// Cycles since power-on.
+    pub cycles: u64,
+    /// Of those, asleep.
+    pub asleep: u64,
+    /// Instructions since power-on.
+    pub instructions: u64,
+}
+
+impl Load {
+    /// The share of the time since `earlier` that the core was awake, in percent.
+    #[must_use]
+    pub fn percent_since(&self, earlier: &Load) -> f64 {
+        let (cycles, asleep) = (self.cycles - earlier.cycles, self.asleep - earlier.asleep);
+        if cycles == 0 { 0.0 } else { 100.0 * (cycles - asleep) as f64 / cycles as f64 }
+    }
+}
+
+impl Mote {
+    /// Loads `elf` into a chip whose core runs at `hclk_hz`, in the dark.
+    ///
+    /// # Errors
+    /// The file is no image for this chip.
+    pub fn boot(elf: &[u8], hclk_hz: NonZeroU32) -> Result<Self, LoadError> {
+        let devices = Scum3c::new(scum3c::Config { hclk_hz, ..scum3c::Config::default() });
+        let config = Config { clock_hz: hclk_hz.get(), ..Config::default() };
+        let mut machine = Machine::new(config, devices);
+        let symbols = machine.load_elf(elf)?;
+        Ok(Self { machine, symbols })
+    }
+
+    /// Queues a change of the light at `cycle`.
+    ///
+    /// # Errors
+    /// `cycle` is not later than that of the edge before, or already past.
+    pub fn push_edge(&mut self, cycle: u64, level: bool) -> Result<(), EdgeError> {
+        self.machine.bus.push_edge(cycle, level)
+    }
+
+    /// Runs to `cycle`.
+    ///
+    /// # Errors
+    /// The firmware stopped on the way.
+    pub fn run_until(&mut self, cycle: u64) -> Result<(), Halted> {
+        match self.machine.run_until(cycle) {
+            Stop::Deadline => Ok(()),
+            stop => {
+                let pc = match &stop {
+                    Stop::Fault(fault) | Stop::Lockup(fault) => Some(fault.pc),
+                    _ => None,
+                };
+                let function = pc.and_then(|pc| self.symbols.containing(pc)).map(str::to_string);
+                Err(Halted { stop, cycle: self.machine.cycles(), function })
+            }
+        }
+    }
+
+    /// The frames that left since the last call.
+    pub fn take_frames(&mut self) -> impl Iterator<Item = SentFrame> + use<> {
+        self.machine.bus.take_frames().into_iter()
+    }
+
+    /// The log bytes written since the last call.
+    pub fn take_log(&mut self) -> Vec<u8> {
+        self.machine.bus.take_uart()
+    }
+
+    /// How the core spent its time so far.
+    #[must_use]
+    pub fn load(&self) -> Load {
+        Load {
+            cycles: self.machine.cycles(),
+            asleep: self.machine.sleep_cycles(),
+            instructions: self.machine.instructions(),
+        }
+    }
+}

@@ -5,14 +5,16 @@
 //! other. Rises and falls therefore alternate by construction, and only the fall, which completes a pulse, pays for
 //! the queue.
 //!
+//! The queue is made of relaxed atomics and two compiler fences: on one core the order of the instructions is the order
+//! of the accesses, and the barriers of a general queue would be a seventh of the handler.
+//!
 //! What can go wrong: a pulse shorter than the rise handler ends late (its fall waits for the handler to return); the
 //! queue is full (the whole pulse is dropped and both its edges counted). Whoever masks one of the two lines, or all
 //! interrupts, delays a stamp: nothing in this binary does outside start-up. In particular RTIC's `lock` and `spawn`
 //! do, so neither is used.
 
-use core::sync::atomic::{AtomicU16, Ordering};
+use core::sync::atomic::{AtomicU16, AtomicU32, Ordering, compiler_fence};
 
-use heapless::spsc::{Consumer, Producer, Queue};
 use lighthouse_mote::edge::Edge;
 use lighthouse_mote::time::Ticks;
 
@@ -25,51 +27,56 @@ const FALL: u32 = Interrupt::GPIO9.bit();
 /// Both: to be left alone by everyone else.
 pub const EDGES: u32 = RISE | FALL;
 
-/// Pulses in the queue, plus one: a power of two, so that its indices wrap by a mask.
+/// Pulses in the queue: a power of two, so that its index is a mask. Three pulses come in 8.3 ms.
 const LEN: usize = 16;
 
-/// Edges dropped because the queue was full. Written by the fall handler alone.
-static LOST: AtomicU16 = AtomicU16::new(0);
+/// The queue. Every field has one writer. The counters come first, where one instruction reaches them.
+#[repr(C)]
+struct Queue {
+    /// The rise waiting for its fall. [`Capture`]'s.
+    rise: AtomicU32,
+    /// Pulses ever written, wrapping. [`Capture`]'s.
+    written: AtomicU32,
+    /// Pulses ever read, wrapping. [`Reader`]'s.
+    read: AtomicU32,
+    /// Edges dropped because there was no room, wrapping. [`Capture`]'s.
+    lost: AtomicU16,
+    /// Rise and fall of each pulse. [`Capture`]'s.
+    pulses: [[AtomicU32; 2]; LEN],
+}
+
+static QUEUE: Queue = Queue {
+    rise: AtomicU32::new(0),
+    written: AtomicU32::new(0),
+    read: AtomicU32::new(0),
+    lost: AtomicU16::new(0),
+    pulses: [const { [const { AtomicU32::new(0) }; 2] }; LEN],
+};
+
+/// Counts the two edges of a pulse.
+#[cold]
+fn lose() {
+    QUEUE.lost.store(lost().wrapping_add(2), Ordering::Relaxed);
+}
 
 /// Edges dropped so far, wrapping.
 pub fn lost() -> u16 {
-    LOST.load(Ordering::Relaxed)
+    QUEUE.lost.load(Ordering::Relaxed)
 }
 
-/// One interval of light, as stamped.
-#[derive(Debug, Clone, Copy)]
-pub struct Lit {
-    rise: Ticks,
-    fall: Ticks,
-}
-
-impl Lit {
-    /// As the edges it is made of.
-    pub const fn edges(self) -> [Edge; 2] {
-        [Edge::rise(self.rise), Edge::fall(self.fall)]
-    }
-}
-
-/// The memory between the handlers and their reader.
-pub type Pulses = Queue<Lit, LEN>;
-
-/// What the two handlers share; they have one priority and cannot interrupt each other.
-pub struct Capture {
-    rise: Ticks,
-    pulses: Producer<'static, Lit>,
-}
+/// The writer's end, for the two handlers; they have one priority and cannot interrupt each other.
+pub struct Capture(());
 
 /// The reader's end.
-pub struct Reader(Consumer<'static, Lit>);
+pub struct Reader(());
 
-/// Splits the queue and waits for light, to be called while interrupts are off.
+/// Waits for light; to be called once, while interrupts are off.
 ///
 /// RTIC enables both lines before `init`; in the dark [`FALL`] is active already.
-pub fn start(pulses: &'static mut Pulses) -> (Capture, Reader) {
+pub fn start() -> (Capture, Reader) {
     nvic::ICER.write(FALL);
     nvic::ISER.write(RISE);
-    let (producer, consumer) = pulses.split();
-    (Capture { rise: Ticks(0), pulses: producer }, Reader(consumer))
+    (Capture(()), Reader(()))
 }
 
 impl Capture {
@@ -77,28 +84,39 @@ impl Capture {
     #[inline(always)]
     pub fn rise(&mut self, at: Ticks) {
         hand_over(RISE, FALL);
-        self.rise = at;
+        QUEUE.rise.store(at.0, Ordering::Relaxed);
     }
 
     /// The light has gone off: a pulse is complete.
     #[inline(always)]
     pub fn fall(&mut self, at: Ticks) {
         hand_over(FALL, RISE);
-        // The queue divides by its length, which it has forgotten at compile time. Comparing it with a constant turns
-        // a hundred cycles of division into a mask.
-        let whole = self.pulses.capacity() == LEN - 1;
-        if !whole || self.pulses.enqueue(Lit { rise: self.rise, fall: at }).is_err() {
-            LOST.store(LOST.load(Ordering::Relaxed).wrapping_add(2), Ordering::Relaxed);
+        let written = QUEUE.written.load(Ordering::Relaxed);
+        if written.wrapping_sub(QUEUE.read.load(Ordering::Relaxed)) >= LEN as u32 {
+            return lose();
         }
+        let [rise, fall] = &QUEUE.pulses[written as usize % LEN];
+        rise.store(QUEUE.rise.load(Ordering::Relaxed), Ordering::Relaxed);
+        fall.store(at.0, Ordering::Relaxed);
+        compiler_fence(Ordering::Release);
+        QUEUE.written.store(written.wrapping_add(1), Ordering::Relaxed);
     }
 }
 
 impl Reader {
-    /// The oldest pulse not yet read.
+    /// The oldest pulse not yet read, as the two edges it is made of.
     #[inline]
-    pub fn next(&mut self) -> Option<Lit> {
-        // As in `fall`.
-        if self.0.capacity() == LEN - 1 { self.0.dequeue() } else { None }
+    pub fn next(&mut self) -> Option<[Edge; 2]> {
+        let read = QUEUE.read.load(Ordering::Relaxed);
+        if read == QUEUE.written.load(Ordering::Relaxed) {
+            return None;
+        }
+        compiler_fence(Ordering::Acquire);
+        let [rise, fall] = &QUEUE.pulses[read as usize % LEN];
+        let edges = [Edge::rise(Ticks(rise.load(Ordering::Relaxed))), Edge::fall(Ticks(fall.load(Ordering::Relaxed)))];
+        compiler_fence(Ordering::Release);
+        QUEUE.read.store(read.wrapping_add(1), Ordering::Relaxed);
+        Some(edges)
     }
 }
 

@@ -36,7 +36,7 @@ mod app {
     use lighthouse_mote::frame::Header;
 
     use crate::calib::{CONFIG, MOTE, PAN};
-    use crate::capture::{self, Capture, Pulses};
+    use crate::capture::{self, Capture};
     use crate::pac::Interrupt;
     use crate::radio::{Buffer, Radio};
     use crate::rf_timer::{self, Alarm, HEARTBEAT};
@@ -59,7 +59,6 @@ mod app {
     }
 
     #[init(local = [
-        pulses: Pulses = Pulses::new(),
         sightings: Sightings = Sightings::new(),
         reports: Reports = Reports::new(),
         buffer: Buffer = Buffer::new(),
@@ -70,7 +69,7 @@ mod app {
         rf_timer::arm(Alarm::Heartbeat, HEARTBEAT);
         defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", MOTE, fault::last());
 
-        let (capture, pulses) = capture::start(cx.local.pulses);
+        let (capture, pulses) = capture::start();
         let (to_solve, sightings) = cx.local.sightings.split();
         let (to_radio, reports) = cx.local.reports.split();
         let header = Header { pan: PAN, mote: MOTE, sequence: 0 };

@@ -3,7 +3,7 @@
 //! Addresses and bits are those of the SCuM-3C test code (`scm_v3c/memory_map.h`), lines those of its vector table
 //! (`cm0dsasm.s:43-58`).
 //!
-//! What can go wrong: a wrong address. All of them are here, and only here can a [`Reg`] be made.
+//! What can go wrong: a wrong address. All addresses are here, and only here can a [`Reg`] be made.
 
 use cortex_m::interrupt::InterruptNumber;
 // Brings the vector table's head, the reset handler and the linker script.
@@ -74,9 +74,8 @@ unsafe impl InterruptNumber for Interrupt {
 
 /// One entry of the vector table.
 #[derive(Clone, Copy)]
-pub union Vector {
-    handler: unsafe extern "C" fn(),
-}
+#[repr(transparent)]
+pub struct Vector(#[allow(dead_code, reason = "the core reads it, not the program")] unsafe extern "C" fn());
 
 macro_rules! vectors {
     ($($name:ident),* $(,)?) => {
@@ -86,7 +85,7 @@ macro_rules! vectors {
         // SAFETY: the section is where link.x wants the device's vectors, and the name is the one it looks for.
         #[unsafe(link_section = ".vector_table.interrupts")]
         #[unsafe(no_mangle)]
-        pub static __INTERRUPTS: [Vector; 16] = [$(Vector { handler: $name }),*];
+        pub static __INTERRUPTS: [Vector; 16] = [$(Vector($name)),*];
     };
 }
 

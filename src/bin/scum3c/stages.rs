@@ -38,8 +38,8 @@ impl Classify {
     /// Takes every pulse there is; true when the solver has something to do.
     pub fn run(&mut self, config: &Config) -> bool {
         let mut any = false;
-        while let Some(lit) = self.pulses.next() {
-            for edge in lit.edges() {
+        while let Some(edges) = self.pulses.next() {
+            for edge in edges {
                 if let Some(sighting) = self.classifier.step(config, edge) {
                     self.pass_on(sighting);
                     any = true;

@@ -6,7 +6,9 @@
 //! the queue.
 //!
 //! The queue is made of relaxed atomics and two compiler fences: on one core the order of the instructions is the order
-//! of the accesses, and the barriers of a general queue would be a seventh of the handler.
+//! of the accesses, and a general queue with its barriers takes 12 cycles more.
+//!
+//! Cycles by the Cortex-M0's table, entry and return not counted: rise 33, fall 59, of which 8 and 10 until the stamp.
 //!
 //! What can go wrong: a pulse shorter than the rise handler ends late (its fall waits for the handler to return); the
 //! queue is full (the whole pulse is dropped and both its edges counted). Whoever masks one of the two lines, or all

@@ -1,0 +1,97 @@
+//! What the compiler cannot know: the room the mote lives in, and the memory of the board it runs on.
+//!
+//! What can go wrong: a calibration that cannot be represented, a board without a line in [`BOARDS`]. Both stop here.
+
+use std::path::Path;
+use std::{env, fs};
+
+fn main() {
+    bake();
+    link();
+}
+
+/// Writes `OUT_DIR/calib.rs`: `CONFIG`, `PAN` and `MOTE` as constants, so that the compiler folds them into the code.
+fn bake() {
+    println!("cargo:rerun-if-changed=build.rs");
+    let out = env::var("OUT_DIR").expect("cargo sets OUT_DIR for every build script");
+    let calib = "\
+/// The room, the stations and the tolerances.
+pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {
+    sweep: lighthouse_mote::sweep::Config::DEFAULT,
+    angle: lighthouse_mote::angle::Config { phase: [[0; 2]; 2] },
+    fix: lighthouse_mote::fix::Config { calib: lighthouse_mote::fix::Calib, max_age_half_turns: 12 },
+    report_every_half_turns: 12,
+};
+/// The PAN the reports go to.
+pub const PAN: u16 = 0xcafe;
+/// Which mote this is.
+pub const MOTE: u16 = 1;
+";
+    fs::write(Path::new(&out).join("calib.rs"), calib).expect("OUT_DIR is writable");
+}
+
+/// Whose link line it is.
+enum Unit {
+    /// The binary of that name.
+    Bin(&'static str),
+    /// The tests, which run in QEMU.
+    Tests,
+}
+
+/// What the linker has to know of a board.
+struct Board {
+    /// Its cargo feature: one board per build.
+    feature: &'static str,
+    unit: Unit,
+    /// Bytes of code memory at 0.
+    flash: u32,
+    /// Bytes of data memory at 0x2000_0000.
+    ram: u32,
+    /// The folder of a hand-written `device.x`, where no peripheral access crate brings one.
+    device: Option<&'static str>,
+}
+
+const BOARDS: &[Board] = &[
+    // 64 KiB each. The last two words of the code RAM are the boot loader's: length and CRC-32 of the image (SCuM-3C
+    // test code, lighthouse_app.c:26-27).
+    Board {
+        feature: "scum3c",
+        unit: Unit::Bin("scum3c"),
+        flash: 64 * 1024 - 8,
+        ram: 64 * 1024,
+        device: Some("src/bin/scum3c"),
+    },
+    // nRF51822 as in QEMU's `microbit`.
+    Board { feature: "qemu", unit: Unit::Tests, flash: 256 * 1024, ram: 16 * 1024, device: None },
+];
+
+/// Hands the linker its scripts and each board its memory.
+///
+/// Here and not in `.cargo/config.toml`, because `RUSTFLAGS` in the environment would silence those.
+fn link() {
+    println!("cargo:rerun-if-changed=memory.x");
+    if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
+        return;
+    }
+    let root = env::var("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR for every build script");
+    for board in BOARDS {
+        if env::var_os(format!("CARGO_FEATURE_{}", board.feature.to_uppercase())).is_none() {
+            continue;
+        }
+        let kind = match board.unit {
+            Unit::Bin(name) => format!("cargo:rustc-link-arg-bin={name}"),
+            Unit::Tests => "cargo:rustc-link-arg-tests".to_owned(),
+        };
+        println!("{kind}=-L{root}");
+        if let Some(folder) = board.device {
+            println!("cargo:rerun-if-changed={folder}/device.x");
+            println!("{kind}=-L{root}/{folder}");
+        }
+        println!("{kind}=--defsym=__flash_size={}", board.flash);
+        println!("{kind}=--defsym=__ram_size={}", board.ram);
+        // `--nmagic`: no page alignment between sections; a mote has no pages.
+        for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
+            println!("{kind}={argument}");
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! The lighthouse mote on the SCuM-3C: light edges in, position frames out.
+//!
+//! Every task is a hardware task. The lines that are wired to nothing (4, 5, 10) are pended instead of spawning
+//! software tasks: a spawn turns all interrupts off for a moment, and a moment is what an edge's stamp is made of.
+//!
+//! | priority | task | line | does |
+//! |---|---|---|---|
+//! | 4 | `rise`, `fall` | 12, 13 | stamp the light |
+//! | 3 | `classify`, `expire` | 4, 10 | pulses to sightings |
+//! | 2 | `radio`, `alarm` | 6, 7 | reports to frames on the air |
+//! | 1 | `solve` | 5 | sightings to reports |
+//! | 0 | `idle` | | carries the log, sleeps |
+//!
+//! What can go wrong: each module says its own. That unwired lines can be pended is how an M0's NVIC works; it has not
+//! been seen on this chip.
+#![no_std]
+#![no_main]
+#![allow(unreachable_pub, reason = "a binary has no outside; `pub` here says: for the other modules")]
+
+mod bring_up;
+mod capture;
+mod fault;
+mod pac;
+mod radio;
+mod rf_timer;
+mod stages;
+mod uart_log;
+
+/// The room, as baked by build.rs.
+mod calib {
+    include!(concat!(env!("OUT_DIR"), "/calib.rs"));
+}
+
+#[rtic::app(device = crate::pac, peripherals = false)]
+mod app {
+    use lighthouse_mote::frame::Header;
+
+    use crate::calib::{CONFIG, MOTE, PAN};
+    use crate::capture::{self, Capture};
+    use crate::pac::Interrupt;
+    use crate::radio::{Buffer, Radio};
+    use crate::rf_timer::{self, Alarm, HEARTBEAT};
+    use crate::stages::{Classify, Reports, Sightings, Solve};
+    use crate::{bring_up, fault, uart_log};
+
+    #[shared]
+    struct Shared {
+        #[lock_free]
+        capture: Capture,
+        #[lock_free]
+        classify: Classify,
+        #[lock_free]
+        radio: Radio,
+    }
+
+    #[local]
+    struct Local {
+        solve: Solve,
+    }
+
+    #[init(local = [
+        sightings: Sightings = Sightings::new(),
+        reports: Reports = Reports::new(),
+        buffer: Buffer = Buffer::new(),
+    ])]
+    fn init(cx: init::Context) -> (Shared, Local) {
+        bring_up::chip();
+        rf_timer::start();
+        rf_timer::arm(Alarm::Heartbeat, HEARTBEAT);
+        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", MOTE, fault::last());
+
+        let (capture, pulses) = capture::start();
+        let (to_solve, sightings) = cx.local.sightings.split();
+        let (to_radio, reports) = cx.local.reports.split();
+        let header = Header { pan: PAN, mote: MOTE, sequence: 0 };
+        (
+            Shared {
+                capture,
+                classify: Classify::new(pulses, to_solve),
+                radio: Radio::new(reports, cx.local.buffer, header),
+            },
+            Local { solve: Solve::new(sightings, to_radio) },
+        )
+    }
+
+    #[task(binds = GPIO8, priority = 4, shared = [capture])]
+    fn rise(cx: rise::Context) {
+        cx.shared.capture.rise(rf_timer::now());
+    }
+
+    #[task(binds = GPIO9, priority = 4, shared = [capture])]
+    fn fall(cx: fall::Context) {
+        cx.shared.capture.fall(rf_timer::now());
+        rtic::pend(Interrupt::SOFT4);
+    }
+
+    #[task(binds = SOFT4, priority = 3, shared = [classify])]
+    fn classify(cx: classify::Context) {
+        if cx.shared.classify.run(&CONFIG) {
+            rtic::pend(Interrupt::SOFT5);
+        }
+    }
+
+    #[task(binds = SOFT10, priority = 3, shared = [classify])]
+    fn expire(cx: expire::Context) {
+        if cx.shared.classify.expire(&CONFIG, rf_timer::now()) {
+            rtic::pend(Interrupt::SOFT5);
+        }
+    }
+
+    #[task(binds = SOFT5, priority = 1, local = [solve])]
+    fn solve(cx: solve::Context) {
+        if cx.local.solve.run(&CONFIG) {
+            rtic::pend(Interrupt::RF);
+        }
+    }
+
+    #[task(binds = RF, priority = 2, shared = [radio])]
+    fn radio(cx: radio::Context) {
+        cx.shared.radio.step();
+    }
+
+    #[task(binds = RFTIMER, priority = 2, shared = [radio])]
+    fn alarm(cx: alarm::Context) {
+        let rung = rf_timer::take();
+        if rung.is(Alarm::Heartbeat) {
+            rf_timer::arm(Alarm::Heartbeat, HEARTBEAT);
+            rtic::pend(Interrupt::SOFT10);
+        }
+        if rung.is(Alarm::Radio) {
+            cx.shared.radio.alarm();
+        }
+    }
+
+    #[idle]
+    fn idle(_: idle::Context) -> ! {
+        loop {
+            uart_log::drain();
+            cortex_m::asm::wfi();
+        }
+    }
+}

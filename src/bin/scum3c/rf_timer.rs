@@ -1,0 +1,79 @@
+//! The radio timer as the mote's clock: a free-running 32-bit counter and two alarms.
+//!
+//! It has no capture input for a pin (`memory_map.h:150-157`), so edges are stamped by reading [`now`] first thing in
+//! their interrupt handlers.
+//!
+//! What can go wrong: an alarm set for a tick already past waits for the counter to come round, 7 min. [`arm`] is for
+//! spans far longer than the few cycles it takes.
+
+use lighthouse_mote::time::{Span, Ticks};
+
+use crate::pac::rftimer;
+
+/// How often the classifier is told that time passes: 2^26 ticks, 6.7 s at 10 MHz, a sixteenth of a wrap.
+pub const HEARTBEAT: Span = Span(1 << 26);
+
+/// The two alarms.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Alarm {
+    /// Compare 0: time passes.
+    Heartbeat = 0,
+    /// Compare 1: the radio has settled, or takes too long.
+    Radio = 1,
+}
+
+/// The alarms that went off.
+#[derive(Debug, Clone, Copy)]
+pub struct Rung(u32);
+
+impl Rung {
+    /// Whether this one did.
+    pub const fn is(self, alarm: Alarm) -> bool {
+        self.0 & 1 << alarm as u32 != 0
+    }
+}
+
+/// Starts the counter at zero, over all 32 bits.
+pub fn start() {
+    rftimer::MAX_COUNT.write(u32::MAX);
+    rftimer::INT_CLEAR.write(u32::MAX);
+    rftimer::CONTROL.write(rftimer::ENABLE | rftimer::INTERRUPT | rftimer::COUNT_RESET);
+}
+
+/// Reads the clock.
+#[inline(always)]
+pub fn now() -> Ticks {
+    Ticks(rftimer::COUNTER.read())
+}
+
+/// Lets `alarm` go off `span` from now.
+pub fn arm(alarm: Alarm, span: Span) {
+    let at = now().after(span).0;
+    let on = rftimer::COMPARE_ENABLE | rftimer::COMPARE_INTERRUPT;
+    match alarm {
+        Alarm::Heartbeat => {
+            rftimer::COMPARE0.write(at);
+            rftimer::COMPARE0_CONTROL.write(on);
+        }
+        Alarm::Radio => {
+            rftimer::COMPARE1.write(at);
+            rftimer::COMPARE1_CONTROL.write(on);
+        }
+    }
+}
+
+/// Lets `alarm` rest.
+pub fn disarm(alarm: Alarm) {
+    match alarm {
+        Alarm::Heartbeat => rftimer::COMPARE0_CONTROL.write(0),
+        Alarm::Radio => rftimer::COMPARE1_CONTROL.write(0),
+    }
+    rftimer::INT_CLEAR.write(1 << alarm as u32);
+}
+
+/// Takes note of the alarms that went off, which ends their interrupt.
+pub fn take() -> Rung {
+    let rung = rftimer::INT.read();
+    rftimer::INT_CLEAR.write(rung);
+    Rung(rung)
+}

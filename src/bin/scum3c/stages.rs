@@ -1,0 +1,110 @@
+//! The two computing stages between their queues: light to sightings, sightings to reports.
+//!
+//! What can go wrong: a queue is full because the stage behind it is slow. What does not fit is dropped and counted,
+//! except the news that the cycle was lost, which is owed until it fits: without it the solver would trust angles of
+//! an unknown age.
+
+use core::sync::atomic::{AtomicU16, Ordering};
+
+use heapless::spsc::{Consumer, Producer, Queue};
+use lighthouse_mote::chain::{Classifier, Config, Sighting, Solver};
+use lighthouse_mote::frame::Report;
+use lighthouse_mote::time::Ticks;
+
+use crate::{capture, radio};
+
+/// The memory between the stages: 7 sightings are 58 ms at 120 sweeps a second.
+pub type Sightings = Queue<Sighting, 8>;
+/// The memory between solver and radio: 3 reports.
+pub type Reports = Queue<Report, 4>;
+
+/// Sightings dropped because the queue was full. Written by [`Classify`] alone.
+static LOST: AtomicU16 = AtomicU16::new(0);
+
+/// The first stage.
+pub struct Classify {
+    classifier: Classifier,
+    pulses: capture::Reader,
+    sightings: Producer<'static, Sighting>,
+    owed: Option<Sighting>,
+}
+
+impl Classify {
+    /// Reads `pulses`, writes `sightings`.
+    pub fn new(pulses: capture::Reader, sightings: Producer<'static, Sighting>) -> Self {
+        Self { classifier: Classifier::default(), pulses, sightings, owed: None }
+    }
+
+    /// Takes every pulse there is; true when the solver has something to do.
+    pub fn run(&mut self, config: &Config) -> bool {
+        let mut any = false;
+        while let Some(edges) = self.pulses.next() {
+            for edge in edges {
+                if let Some(sighting) = self.classifier.step(config, edge) {
+                    self.pass_on(sighting);
+                    any = true;
+                }
+            }
+        }
+        any
+    }
+
+    /// Notices a long darkness at `now`, after every pulse before it; true when the solver has something to do.
+    pub fn expire(&mut self, config: &Config, now: Ticks) -> bool {
+        let any = self.run(config);
+        let Some(sighting) = self.classifier.expire(config, now) else { return any };
+        self.pass_on(sighting);
+        true
+    }
+
+    fn pass_on(&mut self, sighting: Sighting) {
+        if let Some(owed) = self.owed.take() {
+            self.owed = self.sightings.enqueue(owed).err();
+        }
+        let refused = match self.owed {
+            Some(_) => Some(sighting),
+            None => self.sightings.enqueue(sighting).err(),
+        };
+        if let Some(refused) = refused {
+            LOST.store(LOST.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+            if refused.sweep.is_none() {
+                self.owed = Some(refused);
+            }
+        }
+    }
+}
+
+/// The second stage.
+pub struct Solve {
+    solver: Solver,
+    sightings: Consumer<'static, Sighting>,
+    reports: Producer<'static, Report>,
+    reports_lost: u16,
+}
+
+impl Solve {
+    /// Reads `sightings`, writes `reports`.
+    pub fn new(sightings: Consumer<'static, Sighting>, reports: Producer<'static, Report>) -> Self {
+        Self { solver: Solver::default(), sightings, reports, reports_lost: 0 }
+    }
+
+    /// Takes every sighting there is; true when the radio has something to do.
+    pub fn run(&mut self, config: &Config) -> bool {
+        let mut any = false;
+        while let Some(sighting) = self.sightings.dequeue() {
+            if sighting.sweep.is_none() {
+                defmt::warn!("light lost; edges {=u16}, pulses {=u16}", sighting.edges_lost, sighting.pulses_lost);
+            }
+            let Some(mut report) = self.solver.step(config, sighting) else { continue };
+            let losses = &mut report.losses;
+            losses.edges = losses.edges.wrapping_add(capture::lost());
+            losses.sweeps = losses.sweeps.wrapping_add(LOST.load(Ordering::Relaxed));
+            losses.reports = self.reports_lost.wrapping_add(radio::lost());
+            if self.reports.enqueue(report).is_err() {
+                self.reports_lost = self.reports_lost.wrapping_add(1);
+            }
+            any = true;
+        }
+        any
+    }
+}

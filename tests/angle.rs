@@ -4,7 +4,7 @@
 #[cfg(target_os = "none")]
 mod harness;
 
-use lighthouse_mote::angle::{Angle, Config, FIELD_OF_VIEW, State, step};
+use lighthouse_mote::angle::{Angle, Config, FIELD_OF_VIEW, Rotor, State, step};
 use lighthouse_mote::sweep::{Axis, HALF_TURN_BITS, HalfTurn, Station, Sweep};
 use lighthouse_mote::time::{Span, Ticks};
 
@@ -50,7 +50,8 @@ mod tests {
 
     #[test]
     fn the_factory_phase_is_added_to_its_own_rotor_only() {
-        let config = Config { phase: [[1, 20], [300, -4_000]] };
+        let phase = |phase| Rotor { phase, ..Rotor::default() };
+        let config = Config { rotors: [[phase(1), phase(20)], [phase(300), phase(-4_000)]] };
         let with = step(&config, &mut State::default(), sweep(90_000, 50_000));
         let without = step(&Config::default(), &mut State::default(), sweep(90_000, 50_000));
         let (Some(with), Some(without)) = (with, without) else { panic!("in view") };
@@ -81,6 +82,24 @@ mod tests {
         let mut state = State::default();
         for since_sync in [90_000 * 3 / 2, 90_000 * 5 / 2, 1 << 30, u32::MAX] {
             assert_eq!(step(&Config::default(), &mut state, sweep(90_000, since_sync)), None);
+        }
+        // 2048 half turns: the share no longer fits a signed number.
+        let longest = sweep(HalfTurn::MIN_TICKS, HalfTurn::MIN_TICKS << 11);
+        assert_eq!(step(&Config::default(), &mut state, longest), None);
+    }
+
+    #[test]
+    fn a_tilted_rotor_shows_nothing_where_the_other_looks_straight_ahead() {
+        // tan(other) = 0 takes the tilt away; the other rotor's 45 degrees bring all of it back.
+        let tilted = Rotor { tilt: 2_000, ..Rotor::default() };
+        let config = Config { rotors: [[Rotor::default(); 2], [Rotor::default(), tilted]] };
+        let mut state = State::default();
+        let azimuth = |since_sync| Sweep { axis: Axis::Azimuth, ..sweep(90_000, since_sync) };
+        for (other, seen) in [(45_000, 0), (67_500, 2_000), (22_500, -2_000)] {
+            assert!(step(&config, &mut state, azimuth(other)).is_some());
+            let Some(bearing) = step(&config, &mut state, sweep(90_000, 45_000)) else { panic!("in view") };
+            // Sines and cosines are kept to 8e-5.
+            assert!(bearing.angle.0.abs_diff(seen) <= 3, "{:?} for {seen}", bearing.angle);
         }
     }
 

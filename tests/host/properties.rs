@@ -181,6 +181,25 @@ proptest! {
     }
 
     #[test]
+    fn any_sweep_gives_an_angle_in_view_or_none(ticks_q8 in 1u32 << 21..=1 << 28, spans in prop::collection::vec(any::<u32>(), 1..50)) {
+        let mut state = angle::State::default();
+        let half_turn = HalfTurn::from_ticks_q8(ticks_q8).expect("in range");
+        for since_sync in spans {
+            let sweep = Sweep {
+                station: if since_sync & 1 == 0 { Station::A } else { Station::B },
+                axis: if since_sync & 2 == 0 { Axis::Azimuth } else { Axis::Elevation },
+                at: Ticks(since_sync),
+                since_sync: Span(since_sync),
+                half_turn,
+            };
+            if let Some(bearing) = angle::step(&angle::Config::default(), &mut state, sweep) {
+                prop_assert!(bearing.angle.0.abs() <= angle::FIELD_OF_VIEW);
+                prop_assert!(since_sync < half_turn.span().0);
+            }
+        }
+    }
+
+    #[test]
     fn the_half_turn_is_measured_to_a_tick(clock in 1_000_000..100_000_000u32) {
         let cycle = Cycle { clock, ..Cycle::TYPICAL };
         let mut state = sweep::State::default();

@@ -2,6 +2,15 @@
 //!
 //! What can go wrong: a calibration that cannot be represented, a board without a line in [`BOARDS`]. Both stop here.
 
+#[path = "calib/firmware.rs"]
+mod firmware;
+#[path = "calib/quantise.rs"]
+mod quantise;
+#[path = "calib/schema.rs"]
+mod schema;
+#[path = "calib/volume.rs"]
+mod volume;
+
 use std::path::Path;
 use std::{env, fs};
 
@@ -11,23 +20,21 @@ fn main() {
 }
 
 /// Writes `OUT_DIR/calib.rs`: `CONFIG`, `PAN` and `MOTE` as constants, so that the compiler folds them into the code.
+///
+/// The room is `calib/default.toml`, or whatever file `LIGHTHOUSE_CALIB` names.
 fn bake() {
     println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=calib");
+    println!("cargo:rerun-if-env-changed=LIGHTHOUSE_CALIB");
+    let chosen = env::var("LIGHTHOUSE_CALIB").unwrap_or_else(|_| "calib/default.toml".to_string());
+    println!("cargo:rerun-if-changed={chosen}");
+    let baked = schema::open(Path::new(&chosen)).and_then(|calibration| firmware::source(&chosen, &calibration));
+    let source = baked.unwrap_or_else(|error| {
+        eprintln!("{error}");
+        std::process::exit(1);
+    });
     let out = env::var("OUT_DIR").expect("cargo sets OUT_DIR for every build script");
-    let calib = "\
-/// The room, the stations and the tolerances.
-pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {
-    sweep: lighthouse_mote::sweep::Config::DEFAULT,
-    angle: lighthouse_mote::angle::Config { phase: [[0; 2]; 2] },
-    fix: lighthouse_mote::fix::Config { calib: lighthouse_mote::fix::Calib, max_age_half_turns: 12 },
-    report_every_half_turns: 12,
-};
-/// The PAN the reports go to.
-pub const PAN: u16 = 0xcafe;
-/// Which mote this is.
-pub const MOTE: u16 = 1;
-";
-    fs::write(Path::new(&out).join("calib.rs"), calib).expect("OUT_DIR is writable");
+    fs::write(Path::new(&out).join("calib.rs"), source).expect("OUT_DIR is writable");
 }
 
 /// Whose link line it is.

@@ -3,7 +3,7 @@
 //! What can go wrong: a room that the fixed-point solver cannot hold; it is refused with the number that breaks.
 
 use super::quantise::{self, Baked, Room};
-use super::schema::{Calibration, Error, Rotor, RoomBox, Station};
+use super::schema::{Calibration, Error, RoomBox, Rotor, Station};
 use super::volume::shared_view;
 
 /// Milliseconds of a half turn.

@@ -184,8 +184,8 @@ fn rotor(terms: &Table<'_>) -> Result<Rotor, Error> {
     terms.only(&["phase", "tilt", "curve", "gibphase", "gibmag"])?;
     let small = |key: &str, limit: f64| -> Result<f64, Error> {
         let value = terms.optional(key, |value, at| at.number(value))?.unwrap_or(0.0);
-        let flaw = (value.abs() > limit)
-            .then(|| format!("{value} rad is beyond {limit} rad; factory terms are small angles"));
+        let flaw =
+            (value.abs() > limit).then(|| format!("{value} rad is beyond {limit} rad; factory terms are small angles"));
         terms.check(key, flaw)?;
         Ok(value)
     };
@@ -239,9 +239,8 @@ fn rotation_flaw(r: &[[f64; 3]; 3]) -> Option<String> {
             }
         }
     }
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    };
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let third = cross(r[0], r[1]);
     let determinant: f64 = (0..3).map(|k| third[k] * r[2][k]).sum();
     (determinant < 0.0).then(|| "is a mirror image: its determinant is -1".to_string())
@@ -299,9 +298,7 @@ impl<'a> Table<'a> {
         let Some(value) = self.get(key) else { return Ok(None) };
         let path = self.field(key);
         match value.get_ref() {
-            DeValue::Table(table) => {
-                Ok(Some(Table { source: self.source, path, at: value.span().start, table }))
-            }
+            DeValue::Table(table) => Ok(Some(Table { source: self.source, path, at: value.span().start, table })),
             other => Err(self.source.error(value.span().start, &path, format!("{} is no table", shown(other)))),
         }
     }
@@ -338,11 +335,7 @@ impl<'a> Table<'a> {
     }
 
     fn texts(&self) -> Result<Vec<(String, String)>, Error> {
-        Ok(self
-            .table
-            .iter()
-            .map(|(key, value)| (key.get_ref().to_string(), shown(value.get_ref())))
-            .collect())
+        Ok(self.table.iter().map(|(key, value)| (key.get_ref().to_string(), shown(value.get_ref()))).collect())
     }
 }
 
@@ -369,9 +362,10 @@ impl<'a> At<'a> {
             DeValue::Integer(integer) => i64::from_str_radix(&integer.as_str().replace('_', ""), integer.radix()).ok(),
             _ => None,
         };
-        whole.and_then(|whole| u16::try_from(whole).ok()).filter(|whole| *whole <= max).ok_or_else(|| {
-            self.error(value, format!("{} is no whole number in 0 ..= {max}", shown(value.get_ref())))
-        })
+        whole
+            .and_then(|whole| u16::try_from(whole).ok())
+            .filter(|whole| *whole <= max)
+            .ok_or_else(|| self.error(value, format!("{} is no whole number in 0 ..= {max}", shown(value.get_ref()))))
     }
 
     fn array<const N: usize>(&self, value: &'a Spanned<DeValue<'a>>) -> Result<[&'a Spanned<DeValue<'a>>; N], Error> {

@@ -27,13 +27,11 @@ pub fn shared_view(stations: &[Station; 2]) -> Option<RoomBox> {
         for j in 0..=STEPS {
             for k in 0..=STEPS {
                 let depth = step(k, NEAR_M, far);
-                let c = [
-                    step(i, -VIEW_TANGENT, VIEW_TANGENT) * depth,
-                    step(j, -VIEW_TANGENT, VIEW_TANGENT) * depth,
-                    depth,
-                ];
-                let point: [f64; 3] =
-                    core::array::from_fn(|axis| a.position[axis] + (0..3).map(|r| a.rotation[r][axis] * c[r]).sum::<f64>());
+                let c =
+                    [step(i, -VIEW_TANGENT, VIEW_TANGENT) * depth, step(j, -VIEW_TANGENT, VIEW_TANGENT) * depth, depth];
+                let point: [f64; 3] = core::array::from_fn(|axis| {
+                    a.position[axis] + (0..3).map(|r| a.rotation[r][axis] * c[r]).sum::<f64>()
+                });
                 if !lights(b, &point, far) {
                     continue;
                 }
@@ -49,8 +47,7 @@ pub fn shared_view(stations: &[Station; 2]) -> Option<RoomBox> {
 }
 
 fn lights(station: &Station, point: &[f64; 3], far: f64) -> bool {
-    let c: [f64; 3] = station
-        .rotation
-        .map(|row| (0..3).map(|axis| row[axis] * (point[axis] - station.position[axis])).sum());
+    let c: [f64; 3] =
+        station.rotation.map(|row| (0..3).map(|axis| row[axis] * (point[axis] - station.position[axis])).sum());
     (NEAR_M..=far).contains(&c[2]) && c[0].abs() <= VIEW_TANGENT * c[2] && c[1].abs() <= VIEW_TANGENT * c[2]
 }

@@ -106,11 +106,23 @@ pub struct Config {
     pub coast_half_turns: u16,
     /// The shortest sweep pulse, in units of 1/8192 half turn (1.02 us). Real ones last 1.5 to 20 us.
     pub shortest_sweep: u32,
+    /// Which moment of a laser's pulse is the sweep.
+    pub stamp: Stamp,
+}
+
+/// The moment of a laser's pulse that counts as the sweep.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Stamp {
+    /// Half way between both edges: where the middle of the laser line was, whatever its width.
+    #[default]
+    Middle,
+    /// The rise, for receivers with one good edge.
+    Rise,
 }
 
 impl Config {
     /// The values named in the field documentation.
-    pub const DEFAULT: Self = Self { window_shift: 7, coast_half_turns: 12, shortest_sweep: 1 };
+    pub const DEFAULT: Self = Self { window_shift: 7, coast_half_turns: 12, shortest_sweep: 1, stamp: Stamp::Middle };
 }
 
 impl Default for Config {

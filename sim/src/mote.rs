@@ -6,6 +6,7 @@
 
 use std::num::NonZeroU32;
 
+use crate::bus::{Bus, Size};
 use crate::elf::{LoadError, Symbols};
 use crate::machine::{Config, Machine, Stop};
 use crate::scum3c::{self, EdgeError, Scum3c, SentFrame};
@@ -106,6 +107,14 @@ impl Mote {
     /// The log bytes written since the last call.
     pub fn take_log(&mut self) -> Vec<u8> {
         self.machine.bus.take_uart()
+    }
+
+    /// The cycle, now or earlier, at which the radio timer read `ticks`; `None` if the timer does not answer.
+    pub fn cycle_of(&mut self, ticks: u32) -> Option<u64> {
+        const RFTIMER_COUNTER: u32 = 0x4200_0004;
+        let now = self.machine.cycles();
+        let counter = self.machine.bus.read(RFTIMER_COUNTER, Size::Word, now).ok()?;
+        Some(now.saturating_sub(u64::from(counter.wrapping_sub(ticks))))
     }
 
     /// How the core spent its time so far.

@@ -4,7 +4,7 @@
 //! skip pattern contradicts the place in the cycle (after a few times in a row, the pattern is right).
 
 use super::width::{Units, WIDTH_BASE_STEPS};
-use super::{Axis, Config, HalfTurn, Light, Station, Sweep, Sync};
+use super::{Axis, Config, HalfTurn, Light, Stamp, Station, Sweep, Sync};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
 
@@ -195,7 +195,11 @@ impl Lock {
             (Station::A, None) => self.slot_start,
             (Station::B, None) => self.slot_start.after(Span(self.gap)),
         };
-        let since_sync = pulse.start.since(sync);
+        let at = match config.stamp {
+            Stamp::Middle => pulse.start.after(Span(pulse.width.0 / 2)),
+            Stamp::Rise => pulse.start,
+        };
+        let since_sync = at.since(sync);
         // The rotor lights 30 to 150 degrees. Two degrees more to either side leave room for its factory phase: the
         // angle stage knows that and draws the exact line.
         let half_turn = self.units.half_turn.0;
@@ -203,6 +207,6 @@ impl Lock {
             return None;
         }
         self.swept = true;
-        Some(Light::Sweep(Sweep { station, axis, at: pulse.start, since_sync, half_turn: self.half_turn }))
+        Some(Light::Sweep(Sweep { station, axis, at, since_sync, half_turn: self.half_turn }))
     }
 }

@@ -11,8 +11,10 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 mod ci;
+mod firmware;
 mod process;
 mod qemu;
+mod run;
 mod setup;
 mod test;
 
@@ -26,6 +28,12 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Verb {
+    /// Fly the firmware without a chip: boot it in the virtual mote, in simulated or recorded light, and see how well
+    /// it finds itself
+    ///
+    /// Prints what the mote reports while it runs and a table at the end, and writes target/run: fixes.csv,
+    /// frames.pcap (for Wireshark), trajectory.svg (look at it), summary.json.
+    Run(run::Arguments),
     /// Run every test: on this computer, and on an emulated Cortex-M0 like the one in the mote
     ///
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
@@ -46,6 +54,7 @@ enum Verb {
 
 fn main() -> ExitCode {
     let done = match Arguments::parse().verb {
+        Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
         Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),

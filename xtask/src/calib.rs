@@ -1,0 +1,14 @@
+//! The calibration files and what becomes of them, read by the same code as the build.
+//!
+//! What can go wrong: see each part; every complaint names file, line, field and value.
+
+#[path = "../../calib/firmware.rs"]
+pub mod firmware;
+#[path = "../../calib/quantise.rs"]
+pub mod quantise;
+#[path = "../../calib/schema.rs"]
+pub mod schema;
+#[path = "../../calib/volume.rs"]
+pub mod volume;
+
+pub use schema::Calibration;

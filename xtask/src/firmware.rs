@@ -1,0 +1,44 @@
+//! The image of a board, built with a room baked in.
+//!
+//! What can go wrong: the calibration cannot be read or represented (said before anything is built), or the build
+//! fails (cargo says why).
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, anyhow};
+use xtask::calib::{self, Calibration};
+
+use crate::process::{cargo, root, run};
+use crate::setup;
+
+/// The room that is baked when nobody names one.
+pub(crate) const DEFAULT_CALIB: &str = "calib/default.toml";
+
+/// Reads a calibration and makes sure that it can be baked.
+pub(crate) fn room(calib: &Path) -> Result<Calibration> {
+    let calibration = calib::schema::open(calib)?;
+    calib::firmware::bake(&calib.display().to_string(), &calibration)?;
+    Ok(calibration)
+}
+
+/// Builds the SCuM-3C image for the room in `calib`; returns the ELF file's bytes.
+pub(crate) fn scum3c(calib: &Path) -> Result<Vec<u8>> {
+    setup::target(setup::CORTEX_M0)?;
+    let arguments = ["build", "--release", "--bin", "scum3c", "--features", "scum3c", "--target", setup::CORTEX_M0];
+    let calib = calib.canonicalize().with_context(|| calib.display().to_string())?;
+    run(cargo(&arguments).env("LIGHTHOUSE_CALIB", &calib))?;
+    let elf = target_dir()?.join(setup::CORTEX_M0).join("release/scum3c");
+    std::fs::read(&elf).with_context(|| format!("{}: built, but cannot be read", elf.display()))
+}
+
+/// Where cargo builds, which the user may have moved.
+fn target_dir() -> Result<PathBuf> {
+    let asked: Command = cargo(&["metadata", "--format-version=1", "--no-deps", "--offline"]);
+    let mut asked = asked;
+    let answer = asked.current_dir(root()).output().context("cannot ask cargo where it builds")?;
+    let metadata: serde_json::Value =
+        serde_json::from_slice(&answer.stdout).context("cannot understand where cargo builds")?;
+    let folder = metadata["target_directory"].as_str().ok_or_else(|| anyhow!("cargo does not say where it builds"))?;
+    Ok(PathBuf::from(folder))
+}

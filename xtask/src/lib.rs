@@ -1,0 +1,15 @@
+//! Everything a person types, in parts that can be tested without typing.
+//!
+//! A run goes one way: [`recording`] reads what a real mote once saw, [`light`] rebuilds the edges
+//! that the stations must have sent, the virtual mote answers with fixes, [`score`] holds them
+//! against the truth and against [`reference`], and [`output`] writes it all down, with the help
+//! of [`svg`] and [`pcap`].
+
+pub mod calib;
+pub mod light;
+pub mod output;
+pub mod pcap;
+pub mod recording;
+pub mod reference;
+pub mod score;
+pub mod svg;

@@ -1,0 +1,455 @@
+//! The main job: the firmware as it would be flashed, in the virtual mote, under light of a simulated room or of a
+//! recording, held against the truth.
+//!
+//! What can go wrong: everything that is asked for is read and checked before the first build; a mote that faults stops
+//! the run with the place in the code; `target/run` is replaced only by a complete run.
+
+use std::collections::VecDeque;
+use std::io::{IsTerminal, Write};
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use defmt_decoder::{DecodeError, StreamDecoder, Table};
+use lighthouse_mote::frame;
+use serde_json::json;
+use sim::mote::{Load, Mote};
+use sim::scum3c::SentFrame;
+use sim::world::path::Path as MotePath;
+use sim::world::{EventKind, Scene, World};
+use xtask::calib::{Calibration, firmware as baked};
+use xtask::light::{Light, LightConfig};
+use xtask::output::{self, Run};
+use xtask::pcap;
+use xtask::recording::Recording;
+use xtask::reference::{Method, Room};
+use xtask::score::{self, FixRow, Place, Score};
+use xtask::svg::Span;
+
+use crate::firmware;
+use crate::process::root;
+
+/// What the run may be told.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    /// Play the light of a recording instead of a simulated room: the folder with recording.toml and sweeps.csv
+    #[arg(long, value_name = "DIR")]
+    recording: Option<PathBuf>,
+    /// The room to bake into the mote [default: calib/default.toml, or the recording's own stations]
+    #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
+    calib: Option<PathBuf>,
+    /// Seconds of mote time in the simulated room
+    #[arg(long, default_value_t = 30.0, conflicts_with = "recording", value_parser = seconds)]
+    seconds: f64,
+    /// Which of the endlessly many simulated walks
+    #[arg(long, default_value_t = 1, conflicts_with = "recording")]
+    seed: u64,
+    /// Which photodiode of the recording plays the mote's
+    #[arg(long, default_value_t = 0, requires = "recording")]
+    sensor: u32,
+    /// Where the results go
+    #[arg(long, value_name = "DIR", default_value = "target/run")]
+    out: PathBuf,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if (0.5..=86_400.0).contains(&seconds) => Ok(seconds),
+        Ok(seconds) => Err(format!("{seconds} is not in 0.5 ..= 86400")),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+/// How often the mote is looked at, seconds of its time.
+const LOOK_S: f64 = 0.05;
+/// How often the line with its state is written anew where nobody watches, seconds of mote time.
+const LINE_S: f64 = 5.0;
+/// The same on a terminal, in wall time.
+const REDRAW: Duration = Duration::from_millis(100);
+/// Longest silence of the mote's last frame: what is on its way when the light ends still comes out, seconds.
+const TAIL_S: f64 = 0.05;
+
+/// Where the light comes from.
+enum Source {
+    World { world: Box<World>, sweeps: Vec<u64> },
+    Recording { recording: Recording, light: Light, next: usize, truth: Vec<Place> },
+}
+
+/// Runs the firmware and writes down what came of it.
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    let (source, calib, calibration) = prepare(arguments)?;
+    let elf = firmware::scum3c(&calib)?;
+    let session = Session::new(&elf, source, arguments)?;
+    let run = session.play(&calib, &calibration)?;
+    let out = root().join(&arguments.out);
+    if let Some(folder) = out.parent() {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    output::write(&out, &run)?;
+    println!("\n{}", output::table(&run));
+    println!("written to {}: fixes.csv frames.pcap trajectory.svg summary.json", arguments.out.display());
+    Ok(())
+}
+
+/// Reads and checks all that was asked for.
+fn prepare(arguments: &Arguments) -> Result<(Source, PathBuf, Calibration)> {
+    let Some(dir) = &arguments.recording else {
+        let named = arguments.calib.clone();
+        let calib = named.clone().unwrap_or_else(|| root().join(firmware::DEFAULT_CALIB));
+        let calibration = firmware::room(&calib)?;
+        let scene = scene(arguments, named.as_deref(), &calibration)?;
+        let mut world = Box::new(World::new(&scene, arguments.seed));
+        world.keep_log();
+        return Ok((Source::World { world, sweeps: Vec::new() }, calib, calibration));
+    };
+    let recording = Recording::open(dir)?.sensor(arguments.sensor)?;
+    let calib = arguments.calib.clone().unwrap_or_else(|| recording.stations.clone());
+    let calibration = firmware::room(&calib)?;
+    let light = Light::rebuild(&recording, &LightConfig::of(&recording))?;
+    println!("{}", light.findings);
+    let truth = score::recorded_truth(&recording, &light);
+    Ok((Source::Recording { recording, light, next: 0, truth }, calib, calibration))
+}
+
+/// The default scene, with the stations and a path of the named room if there is one.
+fn scene(arguments: &Arguments, named: Option<&Path>, calibration: &Calibration) -> Result<Scene> {
+    let mut scene = Scene { length_s: arguments.seconds, ..Scene::default() };
+    if let Some(named) = named {
+        let [a, b] = &calibration.stations;
+        for (station, measured) in [(&mut scene.station_a, a), (&mut scene.station_b, b)] {
+            station.rotation = measured.rotation;
+            station.position_m = measured.position;
+            for (rotor, terms) in [&mut station.azimuth, &mut station.elevation].into_iter().zip(&measured.factory) {
+                rotor.phase_rad = terms.phase;
+                rotor.tilt_rad = terms.tilt;
+                rotor.gibbous_phase_rad = terms.gibphase;
+                rotor.gibbous_magnitude_rad = terms.gibmag;
+            }
+        }
+        // The middle half of the room: a person does not carry a mote along the walls.
+        let volume = baked::volume(&named.display().to_string(), calibration)?;
+        let within = |part: f64| std::array::from_fn(|k| volume.min[k] + part * (volume.max[k] - volume.min[k]));
+        scene.path = MotePath::HandHeld { low_m: within(0.25), high_m: within(0.75), mean_speed_m_per_s: 0.27 };
+    }
+    if let Err(unfit) = scene.check() {
+        bail!("the scene cannot be lit: {}", unfit.0);
+    }
+    Ok(scene)
+}
+
+/// A mote in the light, and what it has said so far.
+struct Session {
+    mote: Mote,
+    source: Source,
+    mote_hz: f64,
+    length_s: f64,
+    fixes: Vec<FixRow>,
+    frames: Vec<pcap::Frame>,
+    truth: Vec<Place>,
+    garbled: u64,
+    losses: frame::Losses,
+    missing: u64,
+    edges: VecDeque<(u64, bool)>,
+    started: Load,
+    elf: Vec<u8>,
+    log: Vec<u8>,
+}
+
+impl Session {
+    fn new(elf: &[u8], source: Source, arguments: &Arguments) -> Result<Self> {
+        let (mote_hz, length_s) = match &source {
+            Source::World { world, .. } => {
+                let clock = &world.scene().clock;
+                (clock.nominal_hz * (1.0 + clock.error), arguments.seconds)
+            }
+            Source::Recording { light, .. } => {
+                let last = light.edges.last().map_or(0, |edge| edge.0);
+                (light.mote_hz, light.seconds(last) + TAIL_S)
+            }
+        };
+        let hclk = NonZeroU32::new(mote_hz.round() as u32).context("the mote's clock stands still")?;
+        Ok(Self {
+            mote: Mote::boot(elf, hclk)?,
+            source,
+            mote_hz,
+            length_s,
+            fixes: Vec::new(),
+            frames: Vec::new(),
+            truth: Vec::new(),
+            garbled: 0,
+            losses: frame::Losses::default(),
+            missing: 0,
+            edges: VecDeque::new(),
+            started: Load::default(),
+            elf: elf.to_vec(),
+            log: Vec::new(),
+        })
+    }
+
+    fn play(mut self, calib: &Path, calibration: &Calibration) -> Result<Run> {
+        let wall = Instant::now();
+        let mut live = Live::new(self.length_s);
+        let mut log = Log::new(&self.elf)?;
+        let mut second = 0.0;
+        while second < self.length_s {
+            second = (second + LOOK_S).min(self.length_s);
+            let cycle = self.cycle(second);
+            self.light_until(cycle)?;
+            self.mote.run_until(cycle)?;
+            if self.started.cycles == 0 {
+                // Bring-up is no part of the load.
+                self.started = self.mote.load();
+            }
+            for sent in self.mote.take_frames().collect::<Vec<_>>() {
+                self.hear(sent)?;
+            }
+            let bytes = self.mote.take_log();
+            self.log.extend_from_slice(&bytes);
+            for line in log.read(&bytes) {
+                live.say(&line);
+            }
+            if matches!(self.source, Source::World { .. }) {
+                let place = self.truth_at(cycle);
+                self.truth.extend(place.map(|place| (second, place)));
+            }
+            live.show(second, &self.fixes, &self.losses);
+        }
+        live.end();
+        let stopped = self.mote.load();
+        ensure!(
+            self.mote.machine.bus.refused() == 0,
+            "the radio refused: {:?}",
+            self.mote.machine.bus.refusals().first()
+        );
+        self.finish(stopped, wall.elapsed(), calib, calibration)
+    }
+
+    fn cycle(&self, second: f64) -> u64 {
+        match &self.source {
+            Source::World { world, .. } => world.cycle(second),
+            Source::Recording { .. } => (second * self.mote_hz) as u64,
+        }
+    }
+
+    fn seconds(&self, cycle: u64) -> f64 {
+        match &self.source {
+            Source::World { world, .. } => world.seconds(cycle),
+            Source::Recording { light, .. } => light.seconds(cycle),
+        }
+    }
+
+    fn truth_at(&self, cycle: u64) -> Option<[f64; 3]> {
+        match &self.source {
+            Source::World { world, .. } => Some(world.truth(cycle)),
+            Source::Recording { light, truth, .. } => score::place_at(truth, light.seconds(cycle)),
+        }
+    }
+
+    /// Queues the light up to and including `cycle`.
+    fn light_until(&mut self, cycle: u64) -> Result<()> {
+        loop {
+            if self.edges.is_empty() {
+                let next = match &mut self.source {
+                    Source::World { world, .. } => world.next_edge().map(|edge| (edge.cycle, edge.level)),
+                    Source::Recording { light, next, .. } => {
+                        *next += 1;
+                        light.edges.get(*next - 1).copied()
+                    }
+                };
+                self.edges.extend(next);
+            }
+            match self.edges.front() {
+                Some(&(at, level)) if at <= cycle => {
+                    self.mote.push_edge(at, level)?;
+                    self.edges.pop_front();
+                }
+                _ => break,
+            }
+        }
+        if let Source::World { world, sweeps } = &mut self.source {
+            let log = world.take_log();
+            sweeps.extend(
+                log.iter()
+                    .filter(|event| event.seen && matches!(event.kind, EventKind::Sweep { .. }))
+                    .map(|event| event.cycle),
+            );
+        }
+        Ok(())
+    }
+
+    /// Takes one frame from the air, as a listener would.
+    fn hear(&mut self, sent: SentFrame) -> Result<()> {
+        let micros = (1e6 * self.seconds(sent.start_cycle)) as u64;
+        match frame::parse(&sent.bytes) {
+            Ok((header, report)) => {
+                if let Some(last) = self.fixes.last() {
+                    self.missing += u64::from(header.sequence.wrapping_sub(last.sequence).wrapping_sub(1));
+                }
+                let sighted = self.mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
+                let half_turn_s = 1.0 / 120.0;
+                self.fixes.push(FixRow {
+                    cycle: sent.start_cycle,
+                    sighted,
+                    seconds: self.seconds(sighted),
+                    position: report.position.map(f64::from),
+                    mismatch_m: f64::from(report.mismatch),
+                    age_s: f64::from(report.age) * half_turn_s,
+                    sequence: header.sequence,
+                    truth: self.truth_at(sighted),
+                });
+                self.losses = report.losses;
+            }
+            Err(_) => self.garbled += 1,
+        }
+        self.frames.push(pcap::Frame { micros, bytes: sent.bytes });
+        Ok(())
+    }
+
+    fn finish(self, stopped: Load, wall: Duration, calib: &Path, calibration: &Calibration) -> Result<Run> {
+        let room = Room::of(calibration);
+        let (score, others, title, truth, spans) = match &self.source {
+            Source::World { world, sweeps } => (
+                Score::of_simulation(sweeps, &self.fixes, self.mote_hz, |cycle| world.truth(cycle)),
+                Vec::new(),
+                format!("Simulated room, {:.0} s by hand", self.length_s),
+                self.truth,
+                Vec::new(),
+            ),
+            Source::Recording { recording, light, truth, .. } => {
+                let mut others =
+                    vec![("plain DLT in f64".to_string(), Method::plain(room.clone()).score(recording, light))];
+                let authors = recording.dir.join("authors_poses.toml");
+                if authors.exists() {
+                    others.push((
+                        "the paper's method".to_string(),
+                        Method::paper(Room::open(&authors)?).score(recording, light),
+                    ));
+                }
+                let spans = light.calibrated(recording).map(|seconds| Span { seconds, label: "calibrate".to_string() });
+                let name =
+                    recording.dir.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+                (
+                    Score::of_recording(recording, light, &self.fixes),
+                    others,
+                    format!("Recording {name}"),
+                    truth.clone(),
+                    spans.into_iter().collect(),
+                )
+            }
+        };
+        let lost = self.missing
+            + self.garbled
+            + [self.losses.edges, self.losses.reports].iter().map(|count| u64::from(*count)).sum::<u64>();
+        let instructions = (stopped.instructions - self.started.instructions) as f64 / self.length_s;
+        Ok(Run {
+            title,
+            score,
+            others,
+            stations: room.marks(),
+            spans,
+            seconds: self.length_s,
+            cpu_percent: stopped.percent_since(&self.started),
+            lost,
+            more: vec![
+                ("mote_clock_hz".to_string(), json!(self.mote_hz.round())),
+                ("instructions_per_second".to_string(), json!(instructions.round())),
+                ("edges_lost".to_string(), json!(self.losses.edges)),
+                ("pulses_in_no_window".to_string(), json!(self.losses.pulses)),
+                ("sweeps_out_of_view".to_string(), json!(self.losses.sweeps)),
+                ("fixes_refused".to_string(), json!(self.losses.fixes)),
+                ("reports_lost".to_string(), json!(self.losses.reports)),
+                ("frames_garbled".to_string(), json!(self.garbled)),
+                ("room".to_string(), json!(calib.display().to_string())),
+                ("times_real_time".to_string(), json!((self.length_s / wall.as_secs_f64()).round())),
+            ],
+            fixes: self.fixes,
+            frames: self.frames,
+            truth,
+        })
+    }
+}
+
+/// What the mote logs over its UART, decoded with the image's own strings.
+struct Log<'t> {
+    decoder: Box<dyn StreamDecoder + Send + Sync + 't>,
+}
+
+impl Log<'_> {
+    fn new(elf: &[u8]) -> Result<Self> {
+        let table = Table::parse(elf)?.context("the image has no log strings")?;
+        // One run, one image: the table lives as long as the program.
+        let table: &'static Table = Box::leak(Box::new(table));
+        Ok(Self { decoder: table.new_stream_decoder() })
+    }
+
+    fn read(&mut self, bytes: &[u8]) -> Vec<String> {
+        self.decoder.received(bytes);
+        let mut lines = Vec::new();
+        loop {
+            match self.decoder.decode() {
+                Ok(frame) => lines.push(format!("mote: {}", frame.display(false))),
+                Err(DecodeError::UnexpectedEof) => return lines,
+                Err(DecodeError::Malformed) => lines.push("mote: a log frame that does not decode".to_string()),
+            }
+        }
+    }
+}
+
+/// The one line that shows how it goes.
+struct Live {
+    terminal: bool,
+    length_s: f64,
+    drawn: Option<Instant>,
+    next_line: f64,
+}
+
+impl Live {
+    fn new(length_s: f64) -> Self {
+        Self { terminal: std::io::stdout().is_terminal(), length_s, drawn: None, next_line: LINE_S.min(length_s) }
+    }
+
+    fn show(&mut self, second: f64, fixes: &[FixRow], losses: &frame::Losses) {
+        let due = if self.terminal {
+            self.drawn.is_none_or(|drawn| drawn.elapsed() >= REDRAW) || second >= self.length_s
+        } else {
+            second >= self.next_line
+        };
+        if !due {
+            return;
+        }
+        self.drawn = Some(Instant::now());
+        self.next_line = (self.next_line + LINE_S).min(self.length_s);
+        let recent = fixes.iter().rev().take_while(|fix| second - fix.seconds < 1.0).count();
+        let place = fixes.last().map_or("no fix yet".to_string(), |fix| {
+            let [x, y, z] = fix.position;
+            let error = fix.error_m().map_or("unknown".to_string(), |error| format!("{:.1} cm", 100.0 * error));
+            format!("x {x:7.3}  y {y:7.3}  z {z:7.3} m   error {error:>8}")
+        });
+        let line = format!(
+            "{second:6.1} / {:.1} s   {place}   {recent:3} fixes/s   lost {}",
+            self.length_s,
+            u32::from(losses.edges) + u32::from(losses.reports)
+        );
+        if self.terminal {
+            print!("\r\x1b[2K{line}");
+            // A terminal that is gone is no reason to stop.
+            let _ = std::io::stdout().flush();
+        } else {
+            println!("{line}");
+        }
+    }
+
+    fn say(&mut self, line: &str) {
+        if self.terminal {
+            print!("\r\x1b[2K");
+        }
+        println!("{line}");
+    }
+
+    fn end(&self) {
+        if self.terminal {
+            println!();
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! Fixes held against the truth.
+//!
+//! The protocol is the recordings' own: a row counts when its truth is good and it lies outside
+//! the window on which stations were fitted; coverage is the part of those rows that have a fix.
+//! A fix belongs to a row when the mote reported it for that row's sweep: at the sweep or within
+//! [`WINDOW_S`] after. Nothing later is looked at, so a method that waits for better light is not
+//! rewarded for it.
+//!
+//! # What can go wrong
+//! A mote that keeps silent where it is unsure gets small errors and small coverage: the two are
+//! only worth anything together. Without a single fix the errors are not numbers, and are written
+//! as such.
+
+use crate::light::{Light, quantile};
+use crate::recording::Recording;
+
+/// How long after its sweep a fix may still be reported for it, seconds: less than a half turn, so
+/// that the next sweep's fix is not taken for this one's.
+pub const WINDOW_S: f64 = 0.005;
+/// Truth is joined by a line over no longer than this, seconds.
+const JOIN_S: f64 = 0.1;
+
+/// One fix as the mote reported it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FixRow {
+    /// Mote cycle after boot at which the fix was reported.
+    pub cycle: u64,
+    /// Mote cycle at which its newest angle was seen: where the mote then was is what it reports.
+    pub sighted: u64,
+    /// The same in seconds of nominal mote time.
+    pub seconds: f64,
+    /// Where the mote says it is, metres.
+    pub position: [f64; 3],
+    /// How far apart the two stations' rays pass, metres.
+    pub mismatch_m: f64,
+    /// Age of the oldest angle that went in, seconds.
+    pub age_s: f64,
+    /// Number of the report, which wraps.
+    pub sequence: u16,
+    /// Where the mote was, metres, where that is known.
+    pub truth: Option<[f64; 3]>,
+}
+
+impl FixRow {
+    /// Distance from the truth, metres.
+    pub fn error_m(&self) -> Option<f64> {
+        let truth = self.truth?;
+        Some(length(difference(self.position, truth)))
+    }
+}
+
+/// How good a run was.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Score {
+    /// Instants at which a fix was due.
+    pub scored: usize,
+    /// Of those, with a fix.
+    pub fixed: usize,
+    /// Mean absolute error per axis, centimetres.
+    pub mae_cm: [f64; 3],
+    /// 95th percentile of the absolute error per axis, centimetres.
+    pub p95_cm: [f64; 3],
+    /// Root mean square of the distance to the truth, centimetres.
+    pub rms3d_cm: f64,
+    /// Mean distance to the truth, centimetres.
+    pub mean3d_cm: f64,
+}
+
+impl Score {
+    /// The figures of `errors` (fix less truth, metres), out of `scored` instants.
+    pub fn of_errors(scored: usize, errors: &[[f64; 3]]) -> Self {
+        let count = errors.len() as f64;
+        let mut axes: [Vec<f64>; 3] =
+            std::array::from_fn(|axis| errors.iter().map(|e| 100.0 * e[axis].abs()).collect());
+        let distances: Vec<f64> = errors.iter().map(|e| 100.0 * length(*e)).collect();
+        Self {
+            scored,
+            fixed: errors.len(),
+            mae_cm: std::array::from_fn(|axis| axes[axis].iter().sum::<f64>() / count),
+            p95_cm: std::array::from_fn(|axis| quantile(&mut axes[axis], 0.95)),
+            rms3d_cm: (distances.iter().map(|d| d * d).sum::<f64>() / count).sqrt(),
+            mean3d_cm: distances.iter().sum::<f64>() / count,
+        }
+    }
+
+    /// Instants with a fix, of those at which one was due.
+    pub fn coverage(&self) -> f64 {
+        self.fixed as f64 / self.scored as f64
+    }
+
+    /// Scores the fixes, in the order of their cycles, of a mote that saw `light`.
+    pub fn of_recording(recording: &Recording, light: &Light, fixes: &[FixRow]) -> Self {
+        let mut scored = 0;
+        let mut errors = Vec::new();
+        for (row, played) in recording.rows.iter().zip(&light.rows) {
+            if !recording.scored(row) {
+                continue;
+            }
+            scored += 1;
+            // A log writes a row some time after the sweep, with the truth of that time.
+            let fix = played
+                .laser
+                .ok()
+                .and_then(|laser| reported_for(fixes, laser, laser.max(played.cycle), window(light.mote_hz)));
+            errors.extend(fix.map(|fix| difference(fix.position, row.truth)));
+        }
+        Self::of_errors(scored, &errors)
+    }
+
+    /// Scores the fixes, in the order of their cycles, of a mote that saw sweeps at the cycles
+    /// `sweeps`; `truth` says where it was at any cycle.
+    pub fn of_simulation(sweeps: &[u64], fixes: &[FixRow], mote_hz: f64, truth: impl Fn(u64) -> [f64; 3]) -> Self {
+        let errors: Vec<[f64; 3]> = sweeps
+            .iter()
+            .filter_map(|&sweep| reported_for(fixes, sweep, sweep, window(mote_hz)))
+            .map(|fix| difference(fix.position, truth(fix.sighted)))
+            .collect();
+        Self::of_errors(sweeps.len(), &errors)
+    }
+}
+
+/// [`WINDOW_S`] in cycles.
+fn window(mote_hz: f64) -> u64 {
+    (WINDOW_S * mote_hz) as u64
+}
+
+/// The fix of a sweep whose row was written at `row`: the newest one by then that is no older than
+/// the sweep, or else the first one within `window` after.
+fn reported_for(fixes: &[FixRow], sweep: u64, row: u64, window: u64) -> Option<&FixRow> {
+    let from = fixes.partition_point(|fix| fix.cycle < sweep);
+    let by = fixes.partition_point(|fix| fix.cycle <= row);
+    if by > from {
+        return fixes.get(by - 1);
+    }
+    fixes.get(from).filter(|fix| fix.cycle <= row + window)
+}
+
+/// A place at a time: seconds of mote time, metres.
+pub type Place = (f64, [f64; 3]);
+
+/// Where motion capture saw the recording mote, in nominal mote time; only what can be trusted.
+pub fn recorded_truth(recording: &Recording, light: &Light) -> Vec<Place> {
+    let rows = recording.rows.iter().zip(&light.rows).filter(|(row, _)| row.truth_ok);
+    rows.map(|(row, played)| (light.seconds(played.cycle), row.truth)).collect()
+}
+
+/// Gives each fix the truth of its time, on a line between the places before and after; none where
+/// those are far apart in time.
+pub fn attach_truth(fixes: &mut [FixRow], places: &[Place]) {
+    for fix in fixes {
+        fix.truth = place_at(places, fix.seconds);
+    }
+}
+
+/// The place at a time, on a line between those before and after.
+pub fn place_at(places: &[Place], seconds: f64) -> Option<[f64; 3]> {
+    let after = places.partition_point(|place| place.0 < seconds);
+    let (t1, p1) = *places.get(after)?;
+    if t1 == seconds {
+        return Some(p1);
+    }
+    let (t0, p0) = *places.get(after.checked_sub(1)?)?;
+    let part = (seconds - t0) / (t1 - t0);
+    (t1 - t0 <= JOIN_S).then(|| std::array::from_fn(|axis| p0[axis] + part * (p1[axis] - p0[axis])))
+}
+
+fn difference(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| a[axis] - b[axis])
+}
+
+fn length(v: [f64; 3]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A fix at a cycle of a 1 MHz mote.
+    pub(crate) fn fix(cycle: u64, position: [f64; 3]) -> FixRow {
+        FixRow {
+            cycle,
+            sighted: cycle,
+            seconds: cycle as f64 / 1e6,
+            position,
+            mismatch_m: 0.001,
+            age_s: 0.02,
+            sequence: cycle as u16,
+            truth: None,
+        }
+    }
+
+    #[test]
+    fn errors_become_the_figures_of_the_table() {
+        let score = Score::of_errors(4, &[[0.01, 0.0, 0.0], [-0.03, 0.04, 0.0]]);
+        assert_eq!((score.scored, score.fixed, score.coverage()), (4, 2, 0.5));
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
+        near(score.mae_cm[0], 2.0);
+        near(score.mae_cm[1], 2.0);
+        near(score.p95_cm[1], 3.8);
+        near(score.mean3d_cm, 3.0);
+        near(score.rms3d_cm, 13f64.sqrt());
+    }
+
+    #[test]
+    fn no_fix_at_all_is_no_number() {
+        let score = Score::of_errors(3, &[]);
+        assert_eq!(score.coverage(), 0.0);
+        assert!(score.mae_cm[0].is_nan() && score.p95_cm[2].is_nan() && score.rms3d_cm.is_nan());
+    }
+
+    #[test]
+    fn a_fix_counts_for_its_own_sweep_only() {
+        let fixes = [fix(1_000, [0.0; 3]), fix(9_000, [1.0; 3]), fix(9_100, [2.0; 3])];
+        let cycle = |sweep, row| reported_for(&fixes, sweep, row, 5_000).map(|fix| fix.cycle);
+        assert_eq!(cycle(900, 900), Some(1_000));
+        assert_eq!(cycle(1_000, 1_000), Some(1_000));
+        assert_eq!(cycle(1_001, 1_001), None, "an earlier fix is stale, the next too late");
+        assert_eq!(cycle(8_000, 8_000), Some(9_000), "the first after the sweep");
+        assert_eq!(cycle(8_000, 12_000), Some(9_100), "the newest when the row was written later");
+        assert_eq!(cycle(9_101, 9_101), None);
+    }
+
+    #[test]
+    fn a_simulated_run_is_scored_at_the_time_of_its_fixes() {
+        let fixes = [fix(1_000, [0.5, 0.0, 0.0]), fix(2_000, [1.0, 0.0, 0.0])];
+        let truth = |cycle: u64| [cycle as f64 / 2_000.0, 0.0, 0.0];
+        let score = Score::of_simulation(&[990, 1_995, 7_900], &fixes, 1e6, truth);
+        assert_eq!((score.scored, score.fixed), (3, 2));
+        assert_eq!(score.mae_cm, [0.0; 3]);
+    }
+
+    #[test]
+    fn truth_is_interpolated_but_not_across_gaps() {
+        let places = [(1.0, [0.0; 3]), (1.05, [1.0; 3]), (3.0, [2.0; 3])];
+        let mut fixes: Vec<FixRow> =
+            [500_000, 1_025_000, 2_000_000, 3_000_000, 3_500_000].map(|c| fix(c, [0.0; 3])).into();
+        attach_truth(&mut fixes, &places);
+        assert_eq!(fixes[0].truth, None);
+        assert!((fixes[1].truth.unwrap()[0] - 0.5).abs() < 1e-9);
+        assert_eq!(fixes[2].truth, None);
+        assert_eq!(fixes[3].truth, Some([2.0; 3]));
+        assert_eq!(fixes[4].truth, None);
+    }
+}

@@ -11,7 +11,7 @@ use super::cycle;
 use lighthouse_mote::angle;
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::sweep::{
-    Axis, Config, HALF_TURN_BITS, HalfTurn, Light, State, Station, Sweep, Sync, expire, nearest_width, step,
+    Axis, Config, HALF_TURN_BITS, HalfTurn, Light, Stamp, State, Station, Sweep, Sync, expire, nearest_width, step,
 };
 use lighthouse_mote::time::Span;
 
@@ -44,10 +44,11 @@ fn assert_understood(cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Li
         Truth::Sync(sync) => assert_eq!(light, Some(Light::Sync(sync))),
         Truth::Sweep(station, axis) => {
             let Some(sweep) = sweep_of(light) else { panic!("a sweep was taken for {light:?}") };
-            assert_eq!((sweep.station, sweep.axis, sweep.at), (station, axis, pulse.start));
+            let middle = pulse.start.after(Span(pulse.width.0 / 2));
+            assert_eq!((sweep.station, sweep.axis, sweep.at), (station, axis, middle));
             let span = cycle.span(u64::from(cycle.sweep_after[station as usize][axis as usize]));
-            // Both ends are cut to whole ticks.
-            assert!(sweep.since_sync.0.abs_diff(span.0) <= 1, "{:?} for {span:?}", sweep.since_sync);
+            // The flash, the two edges of the sweep and their middle are each cut to whole ticks.
+            assert!(sweep.since_sync.0.abs_diff(span.0) <= 2, "{:?} for {span:?}", sweep.since_sync);
         }
     }
 }
@@ -157,7 +158,7 @@ mod tests {
     #[test]
     fn a_clock_off_by_a_tenth_sees_the_same_angles() {
         // A tick at 9 MHz is 14 units of angle. Sweep and flash are each cut to a whole tick, and so are the two ends
-        // of the half turn.
+        // of the half turn, which counts for about a half of its length.
         const TWO_TICKS: u32 = 28;
         for clock in [9_000_000, 10_000_000, 11_000_000] {
             let cycle = Cycle { clock, ..Cycle::TYPICAL };
@@ -177,6 +178,23 @@ mod tests {
             }
             assert!(seen >= 36);
         }
+    }
+
+    #[test]
+    fn a_sweep_is_stamped_at_its_middle_or_at_its_rise() {
+        let cycle = Cycle::TYPICAL;
+        let rise = Config { stamp: Stamp::Rise, ..CONFIG };
+        let (_, pulse) = cycle.pulse(8, 2);
+        let mut state = after(cycle, 0, 8);
+        for index in 0..2 {
+            step(&CONFIG, &mut state, cycle.pulse(8, index).1);
+        }
+        let middle = sweep_of(step(&CONFIG, &mut state.clone(), pulse));
+        let rise = sweep_of(step(&rise, &mut state, pulse));
+        let (Some(middle), Some(rise)) = (middle, rise) else { panic!("a sweep was not understood") };
+        assert_eq!(rise.at, pulse.start);
+        assert_eq!(middle.at, pulse.start.after(Span(pulse.width.0 / 2)));
+        assert_eq!(middle.since_sync.0 - rise.since_sync.0, pulse.width.0 / 2);
     }
 
     #[test]

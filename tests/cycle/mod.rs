@@ -34,7 +34,7 @@ pub(crate) struct Cycle {
     pub(crate) clock: u32,
     /// What its counter reads as slot 0 begins.
     pub(crate) start: u32,
-    /// From a station's flash to its sweep, in 1/48 us, `[station][axis]`; 200,000 is straight ahead.
+    /// From a station's flash to the middle of its sweep, in 1/48 us, `[station][axis]`; 200,000 is straight ahead.
     pub(crate) sweep_after: [[u32; 2]; 2],
 }
 
@@ -63,7 +63,7 @@ impl Cycle {
             1 => flash(Station::B),
             _ => {
                 let after = self.sweep_after[sweeping as usize][axis as usize];
-                (Truth::Sweep(sweeping, axis), flash_at(sweeping) + u64::from(after), SWEEP_WIDTH)
+                (Truth::Sweep(sweeping, axis), flash_at(sweeping) + u64::from(after) - SWEEP_WIDTH / 2, SWEEP_WIDTH)
             }
         };
         let (start, end) = (self.ticks(at), self.ticks(at + width));

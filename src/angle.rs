@@ -65,7 +65,8 @@ pub struct Bearing {
 /// Turns one sweep into a bearing; `None` outside the field of view.
 #[inline]
 pub fn step(config: &Config, state: &mut State, sweep: Sweep) -> Option<Bearing> {
-    let measured = sweep.half_turn.share(sweep.since_sync) as i32 - (1 << (HALF_TURN_BITS - 1));
+    // A share beyond 2^31 turns negative here, and stays outside the field of view.
+    let measured = (sweep.half_turn.share(sweep.since_sync) as i32).wrapping_sub(1 << (HALF_TURN_BITS - 1));
     let (station, axis) = (sweep.station as usize, sweep.axis as usize);
     let newest = &mut state.newest[station];
     let ideal = factory::ideal(&config.rotors[station][axis], measured, newest[1 - axis]);

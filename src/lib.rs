@@ -17,3 +17,25 @@ pub mod fix;
 pub mod frame;
 
 pub mod chain;
+
+#[cfg(test)]
+extern crate self as lighthouse_mote;
+
+/// The tests that also run on a Cortex-M0 in QEMU: one file, two harnesses.
+#[cfg(test)]
+#[path = "../tests"]
+mod on_target {
+    mod angle;
+    pub(crate) mod cycle;
+    mod frame;
+    mod pulse;
+    mod sweep;
+}
+
+/// The tests that need a host.
+#[cfg(test)]
+#[path = "../tests/host"]
+mod on_host {
+    mod direction;
+    mod properties;
+}

@@ -42,7 +42,7 @@ pub(super) fn ideal(rotor: &Rotor, measured: i32, other: i32) -> i32 {
         0
     } else {
         let (sin, cos) = sin_cos(other);
-        (rotor.tilt * ((sin << Q) / cos.max(1))) >> Q
+        (rotor.tilt * ((sin << Q) / cos.max(1)) + (1 << (Q - 1))) >> Q
     };
     let mut ideal = straight;
     for _ in 0..ROUNDS {
@@ -62,9 +62,10 @@ fn sin_cos(angle: i32) -> (i32, i32) {
     /// 64 degrees: the field of view and the largest phase.
     const EDGE: i32 = (1 << HALF_TURN_BITS) / 180 * 64;
     let t = angle.clamp(-EDGE, EDGE) >> 4; // Q16 half turns
-    let w = (t * t) >> 14; // Q18: at most 0.127
-    let cos = 16_383 - ((w * (80_663 - ((w * 62_468) >> 18))) >> 18);
-    let sin_over_t = 51_471 - ((w * (84_582 - ((w * 39_963) >> 18))) >> 18);
+    // Q18: at most 0.127. Unsigned, because at the edge the products below take all 32 bits.
+    let w = (t * t) as u32 >> 14;
+    let cos = 16_383 - ((w * (80_663 - ((w * 62_468) >> 18))) >> 18) as i32;
+    let sin_over_t = 51_471 - ((w * (84_582 - ((w * 39_963) >> 18))) >> 18) as i32;
     ((t * sin_over_t) >> 16, cos)
 }
 

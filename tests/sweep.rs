@@ -1,0 +1,390 @@
+//! Pulses to flashes and sweeps: the whole V1 cycle, and what happens when parts of it are missing.
+#![cfg_attr(target_os = "none", no_std, no_main)]
+
+#[cfg(target_os = "none")]
+mod cycle;
+#[cfg(target_os = "none")]
+mod harness;
+#[cfg(not(target_os = "none"))]
+use super::cycle;
+
+use lighthouse_mote::angle;
+use lighthouse_mote::pulse::Pulse;
+use lighthouse_mote::sweep::{
+    Axis, Config, HALF_TURN_BITS, HalfTurn, Light, Stamp, State, Station, Sweep, Sync, expire, nearest_width, step,
+};
+use lighthouse_mote::time::Span;
+
+use cycle::{Cycle, HALF_TURN, Truth, width};
+
+const CONFIG: Config = Config::DEFAULT;
+/// Slots after which the cycle must be known, from whichever slot the mote wakes in: two to find the flashes, two
+/// until the skip passes from one station to the other.
+const LOCKED: u32 = 4;
+
+/// Feeds a whole number of slots; the state at their end.
+fn after(cycle: Cycle, first: u32, slots: u32) -> State {
+    let mut state = State::default();
+    for (_, pulse) in cycle.pulses(first, slots) {
+        step(&CONFIG, &mut state, pulse);
+    }
+    state
+}
+
+fn sweep_of(light: Option<Light>) -> Option<Sweep> {
+    match light {
+        Some(Light::Sweep(sweep)) => Some(sweep),
+        _ => None,
+    }
+}
+
+#[track_caller]
+fn assert_understood(cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Light>) {
+    match truth {
+        Truth::Sync(sync) => assert_eq!(light, Some(Light::Sync(sync))),
+        Truth::Sweep(station, axis) => {
+            let Some(sweep) = sweep_of(light) else { panic!("a sweep was taken for {light:?}") };
+            let middle = pulse.start.after(Span(pulse.width.0 / 2));
+            assert_eq!((sweep.station, sweep.axis, sweep.at), (station, axis, middle));
+            let span = cycle.span(u64::from(cycle.sweep_after[station as usize][axis as usize]));
+            // The flash, the two edges of the sweep and their middle are each cut to whole ticks.
+            assert!(sweep.since_sync.0.abs_diff(span.0) <= 2, "{:?} for {span:?}", sweep.since_sync);
+        }
+    }
+}
+
+/// Locks, then expects every pulse of `slots` more slots to be understood.
+#[track_caller]
+fn assert_all_understood(cycle: Cycle, slots: u32) {
+    let mut state = after(cycle, 0, LOCKED);
+    for (truth, pulse) in cycle.pulses(LOCKED, slots) {
+        assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+    }
+    assert_eq!(state.counts().locks_lost, 0);
+}
+
+#[cfg_attr(target_os = "none", defmt_test::tests)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_eight_widths_are_told_apart() {
+        for clock in [1_000_000, 10_000_000, 10_820_000, 16_000_000] {
+            let cycle = Cycle { clock, ..Cycle::TYPICAL };
+            let Some(half_turn) = HalfTurn::from_ticks_q8(cycle.span(HALF_TURN << 8).0) else {
+                panic!("{clock} Hz is in range")
+            };
+            for axis in [Axis::Azimuth, Axis::Elevation] {
+                for (data, skip) in [(false, false), (true, false), (false, true), (true, true)] {
+                    let sync = Sync { station: Station::A, axis, skip, data };
+                    let seen = nearest_width(half_turn, cycle.span(width(sync)));
+                    assert_eq!(seen, Some((axis, data, skip)));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_width_is_still_right_four_microseconds_off() {
+        let cycle = Cycle::TYPICAL;
+        let Some(half_turn) = HalfTurn::from_ticks_q8(cycle.span(HALF_TURN << 8).0) else { panic!("in range") };
+        let sync = Sync { station: Station::A, axis: Axis::Elevation, skip: false, data: true };
+        for off in [-4 * 48, 4 * 48] {
+            let seen = nearest_width(half_turn, cycle.span(width(sync).wrapping_add_signed(off)));
+            assert_eq!(seen, Some((Axis::Elevation, true, false)));
+        }
+    }
+
+    #[test]
+    fn a_width_of_no_flash_has_no_bits() {
+        let cycle = Cycle::TYPICAL;
+        let Some(half_turn) = HalfTurn::from_ticks_q8(cycle.span(HALF_TURN << 8).0) else { panic!("in range") };
+        for microseconds in [0, 10, 50, 150, 1_000, 8_333, 1_000_000] {
+            assert_eq!(nearest_width(half_turn, cycle.span(48 * microseconds)), None);
+        }
+        assert_eq!(nearest_width(half_turn, Span(u32::MAX)), None);
+    }
+
+    #[test]
+    fn the_cycle_is_known_after_four_slots_wherever_the_mote_wakes() {
+        let cycle = Cycle::TYPICAL;
+        for first in 0..4 {
+            let mut state = after(cycle, first, LOCKED);
+            for (truth, pulse) in cycle.pulses(first + LOCKED, 4) {
+                assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+            }
+        }
+    }
+
+    #[test]
+    fn a_cycle_has_eight_flashes_and_four_sweeps_and_each_is_named() {
+        // 32 slots spell every pair of data bits in every slot of the cycle.
+        assert_all_understood(Cycle::TYPICAL, 32);
+    }
+
+    #[test]
+    fn a_wake_up_between_the_two_flashes_of_a_slot_is_no_trap() {
+        let cycle = Cycle::TYPICAL;
+        for missing in 1..3 {
+            let mut state = State::default();
+            for (_, pulse) in cycle.pulses(0, 6).skip(missing) {
+                step(&CONFIG, &mut state, pulse);
+            }
+            for (truth, pulse) in cycle.pulses(6, 4) {
+                assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+            }
+        }
+    }
+
+    #[test]
+    fn the_cycle_goes_on_through_the_wrap_of_the_counter() {
+        let slot = Cycle::TYPICAL.span(HALF_TURN).0;
+        // The wrap falls into the search, between flashes, on a sweep, much later.
+        for slots_before in [1, 2, 5, 9] {
+            for part in 0..4 {
+                let start = 0u32.wrapping_sub(slots_before * slot + part * slot / 4);
+                assert_all_understood(Cycle { start, ..Cycle::TYPICAL }, 8);
+            }
+        }
+    }
+
+    #[test]
+    fn clocks_from_1_to_100_mhz_are_followed() {
+        for clock in [1_000_000, 2_000_000, 5_000_000, 16_000_000, 48_000_000, 100_000_000] {
+            assert_all_understood(Cycle { clock, ..Cycle::TYPICAL }, 8);
+        }
+    }
+
+    #[test]
+    fn a_clock_off_by_a_tenth_sees_the_same_angles() {
+        // A tick at 9 MHz is 14 units of angle. Sweep and flash are each cut to a whole tick, and so are the two ends
+        // of the half turn, which counts for about a half of its length.
+        const TWO_TICKS: u32 = 28;
+        for clock in [9_000_000, 10_000_000, 11_000_000] {
+            let cycle = Cycle { clock, ..Cycle::TYPICAL };
+            let mut sweeps = State::default();
+            let mut angles = angle::State::default();
+            let mut seen = 0;
+            for (_, pulse) in cycle.pulses(0, 40) {
+                let Some(sweep) = sweep_of(step(&CONFIG, &mut sweeps, pulse)) else { continue };
+                let Some(bearing) = angle::step(&angle::Config::default(), &mut angles, sweep) else {
+                    panic!("in the field of view")
+                };
+                let after = cycle.sweep_after[bearing.station as usize][bearing.axis as usize];
+                let truth = (i64::from(after) - 200_000) * (1 << HALF_TURN_BITS) / 400_000;
+                let off = (i64::from(bearing.angle.0) - truth).unsigned_abs();
+                assert!(off <= u64::from(TWO_TICKS), "{off} units off at {clock} Hz");
+                seen += 1;
+            }
+            assert!(seen >= 36);
+        }
+    }
+
+    #[test]
+    fn a_sweep_is_stamped_at_its_middle_or_at_its_rise() {
+        let cycle = Cycle::TYPICAL;
+        let rise = Config { stamp: Stamp::Rise, ..CONFIG };
+        let (_, pulse) = cycle.pulse(8, 2);
+        let mut state = after(cycle, 0, 8);
+        for index in 0..2 {
+            step(&CONFIG, &mut state, cycle.pulse(8, index).1);
+        }
+        let middle = sweep_of(step(&CONFIG, &mut state.clone(), pulse));
+        let rise = sweep_of(step(&rise, &mut state, pulse));
+        let (Some(middle), Some(rise)) = (middle, rise) else { panic!("a sweep was not understood") };
+        assert_eq!(rise.at, pulse.start);
+        assert_eq!(middle.at, pulse.start.after(Span(pulse.width.0 / 2)));
+        assert_eq!(middle.since_sync.0 - rise.since_sync.0, pulse.width.0 / 2);
+    }
+
+    #[test]
+    fn a_clock_that_drifts_is_followed() {
+        // 0.1 % a second is far more than an RC oscillator does while it warms up.
+        let mut state = State::default();
+        let mut start = Cycle::TYPICAL.start;
+        let mut understood = 0;
+        for slot in 0..240u32 {
+            let clock = 10_000_000 + slot * 10_000 / 120;
+            let cycle = Cycle { clock, start: 0, ..Cycle::TYPICAL };
+            // This slot alone, moved to where the slower slots before it ended.
+            let zero = cycle.pulse(slot, 0).1.start;
+            for index in 0..3 {
+                let (truth, pulse) = cycle.pulse(slot, index);
+                let moved = Pulse { start: pulse.start.before(Span(zero.0.wrapping_sub(start))), ..pulse };
+                let light = step(&CONFIG, &mut state, moved);
+                if slot >= LOCKED {
+                    assert_understood(&cycle, truth, moved, light);
+                    understood += 1;
+                }
+            }
+            start += cycle.span(HALF_TURN).0;
+        }
+        assert_eq!(understood, 3 * (240 - LOCKED));
+    }
+
+    #[test]
+    fn a_lost_flash_costs_nothing_else() {
+        let cycle = Cycle::TYPICAL;
+        for lost in 0..2 {
+            for lost_slot in LOCKED..LOCKED + 4 {
+                let mut state = after(cycle, 0, lost_slot);
+                for (n, (truth, pulse)) in (0..).zip(cycle.pulses(lost_slot, 4)) {
+                    if n != lost {
+                        let light = step(&CONFIG, &mut state, pulse);
+                        match truth {
+                            Truth::Sync(_) => assert_understood(&cycle, truth, pulse, light),
+                            Truth::Sweep(..) => {
+                                let Some(sweep) = sweep_of(light) else { panic!("lost with its flash") };
+                                let Truth::Sweep(station, axis) = truth else { continue };
+                                assert_eq!((sweep.station, sweep.axis), (station, axis));
+                                let span = cycle.span(u64::from(cycle.sweep_after[station as usize][axis as usize]));
+                                // Its flash was predicted: a few ticks.
+                                assert!(sweep.since_sync.0.abs_diff(span.0) <= 4);
+                            }
+                        }
+                    }
+                }
+                assert_eq!(state.counts().locks_lost, 0);
+            }
+        }
+    }
+
+    #[test]
+    fn one_station_out_of_sight_leaves_the_other_its_sweeps() {
+        let cycle = Cycle::TYPICAL;
+        for hidden in [Station::A, Station::B] {
+            let mut state = after(cycle, 0, 8);
+            let mut sweeps = 0;
+            for (truth, pulse) in cycle.pulses(8, 40) {
+                let of = match truth {
+                    Truth::Sync(sync) => sync.station,
+                    Truth::Sweep(station, _) => station,
+                };
+                if of == hidden {
+                    continue;
+                }
+                let light = step(&CONFIG, &mut state, pulse);
+                if let Truth::Sweep(station, axis) = truth {
+                    let Some(sweep) = sweep_of(light) else { panic!("the visible station was lost") };
+                    assert_eq!((sweep.station, sweep.axis), (station, axis));
+                    sweeps += 1;
+                }
+            }
+            assert_eq!(sweeps, 20);
+            assert_eq!(state.counts().locks_lost, 0);
+        }
+    }
+
+    #[test]
+    fn a_short_darkness_is_bridged() {
+        let cycle = Cycle::TYPICAL;
+        let mut state = after(cycle, 0, 12);
+        // Ten slots, 83 ms, without light.
+        for (truth, pulse) in cycle.pulses(22, 8) {
+            assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+        }
+    }
+
+    #[test]
+    fn a_long_darkness_is_said_and_the_cycle_found_again() {
+        let cycle = Cycle::TYPICAL;
+        let mut state = after(cycle, 0, 8);
+        let again = 8 + u32::from(CONFIG.coast_half_turns) + 10;
+        let (_, pulse) = cycle.pulse(again, 0);
+        assert_eq!(step(&CONFIG, &mut state, pulse), Some(Light::Lost));
+        assert_eq!(state.half_turn(), None);
+        for (_, pulse) in cycle.pulses(again, LOCKED).skip(1) {
+            assert_ne!(step(&CONFIG, &mut state, pulse), Some(Light::Lost));
+        }
+        for (truth, pulse) in cycle.pulses(again + LOCKED, 4) {
+            assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+        }
+        assert_eq!(state.counts().locks_lost, 1);
+    }
+
+    #[test]
+    fn darkness_is_noticed_without_a_pulse() {
+        let cycle = Cycle::TYPICAL;
+        let mut state = after(cycle, 0, 8);
+        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks(9 * HALF_TURN)), None);
+        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks(15 * HALF_TURN)), None);
+        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks(40 * HALF_TURN)), Some(Light::Lost));
+        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks(50 * HALF_TURN)), None);
+        assert_eq!(state.counts().locks_lost, 1);
+    }
+
+    #[test]
+    fn stray_light_is_counted_and_changes_nothing() {
+        let cycle = Cycle::TYPICAL;
+        let mut state = after(cycle, 0, 8);
+        let mut strays = state.counts().strays;
+        for slot in 8..16 {
+            for index in 0..3 {
+                let (truth, pulse) = cycle.pulse(slot, index);
+                assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+                // 100 us of other light, 500 us after each flash and sweep.
+                let stray = Pulse { start: pulse.start.after(cycle.span(48 * 500)), width: cycle.span(48 * 100) };
+                // Between the flashes there is no room for one.
+                if index > 0 {
+                    assert_eq!(step(&CONFIG, &mut state, stray), None);
+                    strays += 1;
+                }
+            }
+        }
+        assert_eq!(state.counts().strays, strays);
+    }
+
+    #[test]
+    fn stray_light_does_not_hide_the_cycle_from_the_search() {
+        let cycle = Cycle::TYPICAL;
+        let mut state = State::default();
+        for (truth, pulse) in cycle.pulses(0, 12) {
+            let light = step(&CONFIG, &mut state, pulse);
+            if matches!(truth, Truth::Sync(Sync { station: Station::B, .. })) {
+                let stray = Pulse { start: pulse.start.after(cycle.span(48 * 500)), width: cycle.span(48 * 90) };
+                step(&CONFIG, &mut state, stray);
+            }
+            if pulse.start.since(cycle.ticks(0)) > cycle.span(u64::from(2 * LOCKED) * HALF_TURN) {
+                assert_understood(&cycle, truth, pulse, light);
+            }
+        }
+    }
+
+    #[test]
+    fn a_second_sweep_in_a_slot_is_a_reflection() {
+        let cycle = Cycle::TYPICAL;
+        let mut state = after(cycle, 0, 8);
+        let strays = state.counts().strays;
+        for (truth, pulse) in cycle.pulses(8, 4) {
+            assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+            if let Truth::Sweep(..) = truth {
+                let echo = Pulse { start: pulse.start.after(cycle.span(48 * 300)), ..pulse };
+                assert_eq!(step(&CONFIG, &mut state, echo), None);
+            }
+        }
+        assert_eq!(state.counts().strays, strays + 4);
+    }
+
+    #[test]
+    fn a_receiver_that_shortens_every_flash_is_understood() {
+        let cycle = Cycle::TYPICAL;
+        let shorter = cycle.span(48 * 9);
+        let mut state = State::default();
+        for (n, (truth, pulse)) in (0..).zip(cycle.pulses(0, 12)) {
+            let width = match truth {
+                Truth::Sync(_) => Span(pulse.width.0 - shorter.0),
+                Truth::Sweep(..) => pulse.width,
+            };
+            let light = step(&CONFIG, &mut state, Pulse { width, ..pulse });
+            // The data bit is read off the absolute width and may be wrong; nothing else may.
+            if n >= 3 * LOCKED {
+                match (truth, light) {
+                    (Truth::Sync(sync), Some(Light::Sync(seen))) => {
+                        assert_eq!(Sync { data: sync.data, ..seen }, sync);
+                    }
+                    _ => assert_understood(&cycle, truth, pulse, light),
+                }
+            }
+        }
+    }
+}

@@ -23,7 +23,8 @@ fn main() {
 
 /// Writes `OUT_DIR/calib.rs`: `CONFIG`, `PAN` and `MOTE` as constants, so that the compiler folds them into the code.
 ///
-/// The room is `calib/default.toml`, or whatever file `LIGHTHOUSE_CALIB` names.
+/// The room is `calib/default.toml`, or whatever file `LIGHTHOUSE_CALIB` names. `LIGHTHOUSE_MOTE` may hold lines as
+/// they stand under `[mote]` in such a file, which then count instead.
 fn bake() {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rerun-if-changed=calib");
@@ -31,7 +32,12 @@ fn bake() {
     println!("cargo:rerun-if-env-changed=LIGHTHOUSE_CALIB");
     let chosen = env::var("LIGHTHOUSE_CALIB").unwrap_or_else(|_| "calib/default.toml".to_string());
     println!("cargo:rerun-if-changed={chosen}");
-    let baked = schema::open(Path::new(&chosen)).and_then(|calibration| firmware::source(&chosen, &calibration));
+    println!("cargo:rerun-if-env-changed=LIGHTHOUSE_MOTE");
+    let own = env::var("LIGHTHOUSE_MOTE").unwrap_or_default();
+    let baked = schema::open(Path::new(&chosen)).and_then(|mut calibration| {
+        calibration.mote = calibration.mote.with("LIGHTHOUSE_MOTE", &own)?;
+        firmware::source(&chosen, &calibration)
+    });
     let source = baked.unwrap_or_else(|error| {
         eprintln!("{error}");
         std::process::exit(1);

@@ -20,6 +20,7 @@ const SHARES: [f64; 5] = [1.0, 0.85, 0.7, 0.6, 0.5];
 #[derive(Debug, Clone)]
 pub struct Held {
     /// The volume: the declared one, or the widest that could be held.
+    #[allow(dead_code, reason = "the build only wants the numbers")]
     pub volume: RoomBox,
     /// The solver's numbers.
     pub baked: Baked,
@@ -113,7 +114,7 @@ pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
         calibration.provenance.iter().map(|(key, value)| format!("// {key}: {}\n", value.replace('\n', " "))).collect();
     Ok(format!(
         "{provenance}/// The room, as baked from `{file}`.
-pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
+pub static CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
     sweep: lighthouse_mote::sweep::Config::DEFAULT,
     angle: lighthouse_mote::angle::Config {{ rotors: [{}, {}] }},
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},

@@ -86,8 +86,9 @@ impl Baked {
     #[must_use]
     pub fn emit(&self) -> String {
         format!(
-            "{{\n#[allow(unused_imports)]\nuse lighthouse_mote::fix::{{Calib, Fast, General, Linear, Lines, Row, Scene, Weight}};\nCalib::{:#?}\n}}",
-            self.calib
+            "{{\n#[allow(unused_imports)]\nuse lighthouse_mote::fix::{{Calib, Fast, General, Linear, Lines, Row, Scene, Weight}};\nCalib::{}\n}}",
+            // Debug hides the one reference.
+            format!("{:#?}", self.calib).replace("lines: [", "lines: &[")
         )
     }
 }
@@ -744,7 +745,8 @@ fn form(room: &Room, plan: Plan, sights: &Sights) -> Result<Calib, Refusal> {
             Ok(Calib::Fast(Fast { scene, near: row(r1), far, lines: lines(only)? }))
         }
         [first, second, ..] => {
-            let lines = [lines(first)?, lines(second)?];
+            // A bake is done once or a few times by a program; its rooms may stay.
+            let lines = Box::leak(Box::new([lines(first)?, lines(second)?]));
             Ok(Calib::General(General { scene, rows: [row(r1), row(r2)], lines }))
         }
         [] => refuse("no plan", 0.0),

@@ -85,7 +85,7 @@ pub enum Estimate {
 
 impl Default for Mote {
     fn default() -> Self {
-        Self { id: 1, pan: 0x4C48, estimate: Estimate::Track, report_every_half_turns: 1, max_angle_age_ms: 100.0 }
+        Self { id: 1, pan: 0x4C48, estimate: Estimate::Track, report_every_half_turns: 4, max_angle_age_ms: 100.0 }
     }
 }
 
@@ -135,11 +135,8 @@ pub fn open(path: &Path) -> Result<Calibration, Error> {
 /// The first thing wrong with it.
 pub fn read(file: &str, text: &str) -> Result<Calibration, Error> {
     let source = Source { file, text };
-    let root = DeTable::parse(text).map_err(|error| {
-        let start = error.span().map_or(0, |span| span.start);
-        source.error(start, "", error.message().to_string())
-    })?;
-    let root = Table { source, path: String::new(), at: root.span().start, table: root.get_ref() };
+    let parsed = parse(source)?;
+    let root = root(source, &parsed);
     root.only(&["provenance", "station", "room", "mote"])?;
     let provenance = match root.table("provenance")? {
         Some(table) => table.texts()?,
@@ -149,8 +146,19 @@ pub fn read(file: &str, text: &str) -> Result<Calibration, Error> {
     both.only(&["A", "B"])?;
     let stations = [station(&both, "A")?, station(&both, "B")?];
     let room = root.table("room")?.map(|table| room(&table)).transpose()?;
-    let mote = root.table("mote")?.map_or(Ok(Mote::default()), |table| mote(&table))?;
+    let mote = root.table("mote")?.map_or(Ok(Mote::default()), |table| mote(&table, Mote::default()))?;
     Ok(Calibration { provenance, stations, room, mote })
+}
+
+fn parse(source: Source<'_>) -> Result<Spanned<DeTable<'_>>, Error> {
+    DeTable::parse(source.text).map_err(|error| {
+        let start = error.span().map_or(0, |span| span.start);
+        source.error(start, "", error.message().to_string())
+    })
+}
+
+fn root<'a>(source: Source<'a>, parsed: &'a Spanned<DeTable<'a>>) -> Table<'a> {
+    Table { source, path: String::new(), at: parsed.span().start, table: parsed.get_ref() }
 }
 
 /// How far R R^T may be from the identity: nine printed decimals leave 1e-8, hand-typed numbers more.
@@ -218,9 +226,19 @@ fn room(table: &Table<'_>) -> Result<RoomBox, Error> {
     Ok(RoomBox { min, max })
 }
 
-fn mote(table: &Table<'_>) -> Result<Mote, Error> {
+impl Mote {
+    /// These settings with those of `text` instead: lines as they stand under `[mote]`; `name` is for complaints.
+    ///
+    /// # Errors
+    /// The first thing wrong with it.
+    pub fn with(self, name: &str, text: &str) -> Result<Mote, Error> {
+        let source = Source { file: name, text };
+        mote(&root(source, &parse(source)?), self)
+    }
+}
+
+fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
     table.only(&["id", "pan", "estimate", "report_every_half_turns", "max_angle_age_ms"])?;
-    let usual = Mote::default();
     let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
         Ok(table.optional(key, |value, at| at.whole(value, max))?.unwrap_or(usual))
     };

@@ -18,6 +18,8 @@ mod walk;
 pub use crate::angle::Angle;
 pub use layout::{Calib, Fast, General, HALF, LEAST, Linear, Lines, Reject, Row, Scene, Solution, WEIGHTS, Weight};
 
+pub use tan::tan;
+
 use crate::angle::Bearing;
 use crate::sweep::HalfTurn;
 use crate::time::{Span, Ticks};

@@ -27,7 +27,6 @@
 
 mod filter;
 mod root;
-mod tan;
 
 #[cfg(test)]
 mod tests;
@@ -38,6 +37,7 @@ use micromath::F32Ext;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::angle::Angle;
+use crate::fix;
 use crate::sweep::{Axis, Station};
 
 /// Units of time per half turn of a rotor (8.333 ms): 32.6 us each.
@@ -240,9 +240,11 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
 pub fn step(config: &Config, room: &Room, state: &mut State, sweep: Sweep) -> Step {
     let now = state.now.wrapping_add(u32::from(sweep.elapsed));
     state.now = now;
-    let Some(tangent) = tan::tan(sweep.angle.0) else {
+    let Some(tangent) = fix::tan(sweep.angle.0) else {
         return Step::OutOfView;
     };
+    // Q28 to Q14.
+    let tangent = tangent >> 14;
     if !state.tracking {
         state.light = now;
         state.heard = true;

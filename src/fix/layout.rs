@@ -145,8 +145,9 @@ pub struct Fast {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(C)]
 pub struct General {
-    /// The lines when the first row divides, and when the second does.
-    pub lines: [Lines; 2],
+    /// The lines when the first row divides, and when the second does. Elsewhere, so that a room of the fast form does
+    /// not pay for their flash.
+    pub lines: &'static [Lines; 2],
     /// What both forms share.
     pub scene: Scene,
     /// -v1 and -v2.

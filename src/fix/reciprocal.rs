@@ -9,12 +9,14 @@ use super::layout::LEAST;
 
 /// log2 of the cells per unit.
 const CELL_BITS: u32 = 8;
-/// Cells from 0 to 2; the first 32, below 1/8, are empty.
-const CELLS: usize = 2 << CELL_BITS;
+/// Cells below 1/8, which are left out.
+const FIRST: usize = (LEAST * (1u32 << CELL_BITS) as f64) as usize;
+/// Cells from 1/8 to 2.
+const CELLS: usize = (2 << CELL_BITS) - FIRST;
 /// From the Q30 argument to the Q20 that the slopes multiply.
 const COARSE: u32 = 10;
 
-static TABLE: [(u32, u32); CELLS] = table();
+static LINES: ([u32; CELLS], [u16; CELLS]) = lines();
 
 /// 1 / argument in Q14, rounded, for an argument in Q30; nothing below `least`, which is positive.
 #[inline(always)]
@@ -22,24 +24,28 @@ pub(super) fn reciprocal(argument: i32, least: i32) -> Option<i32> {
     if argument < least {
         return None;
     }
-    let &(base, slope) = TABLE.get(argument as usize >> (30 - CELL_BITS))?;
-    Some((base.wrapping_sub(slope.wrapping_mul(argument as u32 >> COARSE)) >> 14) as i32)
+    let cell = (argument as usize >> (30 - CELL_BITS)).wrapping_sub(FIRST);
+    let (base, slope) = (*LINES.0.get(cell)?, *LINES.1.get(cell)?);
+    Some((base.wrapping_sub(u32::from(slope).wrapping_mul(argument as u32 >> COARSE)) >> 14) as i32)
 }
 
-const fn table() -> [(u32, u32); CELLS] {
-    let mut table = [(0, 0); CELLS];
-    let mut cell = (LEAST * (1u32 << CELL_BITS) as f64) as usize;
+/// The bases and the slopes.
+const fn lines() -> ([u32; CELLS], [u16; CELLS]) {
+    let mut table = ([0; CELLS], [0; CELLS]);
+    let mut cell = 0;
     while cell < CELLS {
         let width = 1.0 / (1u32 << CELL_BITS) as f64;
-        let left = cell as f64 * width;
+        let left = (FIRST + cell) as f64 * width;
         let right = left + width;
         let middle = left + width / 2.0;
         // Q28 over Q20 leaves Q8.
-        let slope = (256.0 / (left * right) + 0.5) as u32;
+        // At most 2^14 at 1/8.
+        let slope = (256.0 / (left * right) + 0.5) as u16;
         // Simpson's mean of 1/x, so that the line has no bias in its cell, and half of the unit that the shift drops.
         let mean = (1.0 / left + 4.0 / middle + 1.0 / right) / 6.0;
         let base = (mean + middle * slope as f64 / 256.0) * (1u32 << 28) as f64 + (1u32 << 13) as f64;
-        table[cell] = ((base + 0.5) as u64 as u32, slope);
+        table.0[cell] = (base + 0.5) as u64 as u32;
+        table.1[cell] = slope;
         cell += 1;
     }
     table

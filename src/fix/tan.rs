@@ -17,18 +17,20 @@ const LEFT: i32 = (CELLS as i32) << (CELL_BITS - 1);
 /// One in the Q28 of the result.
 const ONE: f64 = (1u32 << 28) as f64;
 
-static TABLE: [(i32, i32); CELLS] = table();
+static LINES: ([i32; CELLS], [u16; CELLS]) = lines();
 
 /// tan(angle) + [`HALF`] in Q28, or nothing outside the field of view (+-60.03 deg).
 #[inline(always)]
-pub(super) fn tan(angle: i32) -> Option<i32> {
+pub fn tan(angle: i32) -> Option<i32> {
     let from_left = angle.wrapping_add(LEFT) as u32;
-    let &(base, slope) = TABLE.get((from_left >> CELL_BITS) as usize)?;
-    Some(base.wrapping_add(slope.wrapping_mul(from_left as i32)))
+    let cell = (from_left >> CELL_BITS) as usize;
+    let (base, slope) = (*LINES.0.get(cell)?, *LINES.1.get(cell)?);
+    Some(base.wrapping_add(i32::from(slope).wrapping_mul(from_left as i32)))
 }
 
-const fn table() -> [(i32, i32); CELLS] {
-    let mut table = [(0, 0); CELLS];
+/// The bases and the slopes.
+const fn lines() -> ([i32; CELLS], [u16; CELLS]) {
+    let mut table = ([0; CELLS], [0; CELLS]);
     let mut cell = 0;
     while cell < CELLS {
         let width = (1u32 << CELL_BITS) as f64;
@@ -42,7 +44,9 @@ const fn table() -> [(i32, i32); CELLS] {
         let mean = (at_left + 4.0 * at_middle + at_right) / 6.0;
         let base = mean - slope as f64 * (left + width / 2.0) + HALF as f64;
         // The true base may leave i32; what counts is the sum modulo 2^32.
-        table[cell] = (round(base) as i32, slope as i32);
+        table.0[cell] = round(base) as i32;
+        // At most 4 pi 2^8: the slope of the tangent at 60 deg.
+        table.1[cell] = slope as u16;
         cell += 1;
     }
     table

@@ -423,15 +423,6 @@ fn a_fix_whose_rays_miss_each_other_starts_nothing() {
 }
 
 #[test]
-fn the_tangent_is_within_two_units_of_q14() {
-    for angle in (-FIELD_OF_VIEW..=FIELD_OF_VIEW).step_by(97) {
-        let exact = (f64::from(angle) * PI / f64::from(1 << 20)).tan();
-        let table = f64::from(super::tan::tan(angle).expect("within view")) / f64::from(1 << 14);
-        assert!((table - exact).abs() < 1.3e-4, "{angle}: {table} {exact}");
-    }
-}
-
-#[test]
 fn the_reciprocal_root_is_within_three_halves_of_a_thousandth() {
     for value in (1 << 14..1 << 30).step_by(40_001) {
         let super::root::Root { mantissa, shift } = super::root::reciprocal_root(value);

@@ -61,8 +61,14 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Half a turn of a 60 Hz rotor, seconds.
+const HALF_TURN_S: f64 = 1.0 / 120.0;
 /// How often the mote is looked at, seconds of its time.
 const LOOK_S: f64 = 0.05;
+/// A recording is scored sweep by sweep.
+const EVERY_SWEEP: &str = "report_every_half_turns = 1";
+/// The mote without its tracker.
+const PLAIN: &str = "report_every_half_turns = 1\nestimate = \"fix\"";
 /// How often the line with its state is written anew where nobody watches, seconds of mote time.
 const LINE_S: f64 = 5.0;
 /// The same on a terminal, in wall time.
@@ -70,7 +76,16 @@ const REDRAW: Duration = Duration::from_millis(100);
 /// Longest silence of the mote's last frame: what is on its way when the light ends still comes out, seconds.
 const TAIL_S: f64 = 0.05;
 
+/// All that was asked for, read and checked.
+#[derive(Clone)]
+struct Prepared {
+    source: Source,
+    calib: PathBuf,
+    calibration: Calibration,
+}
+
 /// Where the light comes from.
+#[derive(Clone)]
 enum Source {
     World { world: Box<World>, sweeps: Vec<u64> },
     Recording { recording: Recording, light: Light, next: usize, truth: Vec<Place> },
@@ -78,10 +93,16 @@ enum Source {
 
 /// Runs the firmware and writes down what came of it.
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let (source, calib, calibration) = prepare(arguments)?;
-    let elf = firmware::scum3c(&calib)?;
-    let session = Session::new(&elf, source, arguments)?;
-    let run = session.play(&calib, &calibration)?;
+    let prepared = prepare(arguments)?;
+    let plain = match &prepared.source {
+        Source::World { .. } => None,
+        Source::Recording { .. } => Some(Session::new(PLAIN, prepared.clone(), arguments)?.play(false)?),
+    };
+    let mote = if plain.is_some() { EVERY_SWEEP } else { "" };
+    let mut run = Session::new(mote, prepared, arguments)?.play(true)?;
+    if let Some(plain) = plain {
+        run.others.insert(0, ("each fix as it is".to_string(), plain.score));
+    }
     let out = root().join(&arguments.out);
     if let Some(folder) = out.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
@@ -93,7 +114,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// Reads and checks all that was asked for.
-fn prepare(arguments: &Arguments) -> Result<(Source, PathBuf, Calibration)> {
+fn prepare(arguments: &Arguments) -> Result<Prepared> {
     let Some(dir) = &arguments.recording else {
         let named = arguments.calib.clone();
         let calib = named.clone().unwrap_or_else(|| root().join(firmware::DEFAULT_CALIB));
@@ -101,7 +122,7 @@ fn prepare(arguments: &Arguments) -> Result<(Source, PathBuf, Calibration)> {
         let scene = scene(arguments, named.as_deref(), &calibration)?;
         let mut world = Box::new(World::new(&scene, arguments.seed));
         world.keep_log();
-        return Ok((Source::World { world, sweeps: Vec::new() }, calib, calibration));
+        return Ok(Prepared { source: Source::World { world, sweeps: Vec::new() }, calib, calibration });
     };
     let recording = Recording::open(dir)?.sensor(arguments.sensor)?;
     let calib = arguments.calib.clone().unwrap_or_else(|| recording.stations.clone());
@@ -109,7 +130,7 @@ fn prepare(arguments: &Arguments) -> Result<(Source, PathBuf, Calibration)> {
     let light = Light::rebuild(&recording, &LightConfig::of(&recording))?;
     println!("{}", light.findings);
     let truth = score::recorded_truth(&recording, &light);
-    Ok((Source::Recording { recording, light, next: 0, truth }, calib, calibration))
+    Ok(Prepared { source: Source::Recording { recording, light, next: 0, truth }, calib, calibration })
 }
 
 /// The default scene, with the stations and a path of the named room if there is one.
@@ -153,11 +174,15 @@ struct Session {
     edges: VecDeque<(u64, bool)>,
     started: Load,
     elf: Vec<u8>,
-    log: Vec<u8>,
+    calib: PathBuf,
+    calibration: Calibration,
 }
 
 impl Session {
-    fn new(elf: &[u8], source: Source, arguments: &Arguments) -> Result<Self> {
+    /// A mote whose settings are those of the room but for the lines in `mote`.
+    fn new(mote: &str, prepared: Prepared, arguments: &Arguments) -> Result<Self> {
+        let Prepared { source, calib, calibration } = prepared;
+        let elf = firmware::scum3c(&calib, mote)?;
         let (mote_hz, length_s) = match &source {
             Source::World { world, .. } => {
                 let clock = &world.scene().clock;
@@ -170,7 +195,7 @@ impl Session {
         };
         let hclk = NonZeroU32::new(mote_hz.round() as u32).context("the mote's clock stands still")?;
         Ok(Self {
-            mote: Mote::boot(elf, hclk)?,
+            mote: Mote::boot(&elf, hclk)?,
             source,
             mote_hz,
             length_s,
@@ -182,12 +207,14 @@ impl Session {
             missing: 0,
             edges: VecDeque::new(),
             started: Load::default(),
-            elf: elf.to_vec(),
-            log: Vec::new(),
+            elf,
+            calib,
+            calibration,
         })
     }
 
-    fn play(mut self, calib: &Path, calibration: &Calibration) -> Result<Run> {
+    /// Plays all of the light; in silence unless `aloud`.
+    fn play(mut self, aloud: bool) -> Result<Run> {
         let wall = Instant::now();
         let mut live = Live::new(self.length_s);
         let mut log = Log::new(&self.elf)?;
@@ -205,24 +232,29 @@ impl Session {
                 self.hear(sent)?;
             }
             let bytes = self.mote.take_log();
-            self.log.extend_from_slice(&bytes);
             for line in log.read(&bytes) {
-                live.say(&line);
+                if aloud {
+                    live.say(&line);
+                }
             }
             if matches!(self.source, Source::World { .. }) {
                 let place = self.truth_at(cycle);
                 self.truth.extend(place.map(|place| (second, place)));
             }
-            live.show(second, &self.fixes, &self.losses);
+            if aloud {
+                live.show(second, &self.fixes, &self.losses);
+            }
         }
-        live.end();
+        if aloud {
+            live.end();
+        }
         let stopped = self.mote.load();
         ensure!(
             self.mote.machine.bus.refused() == 0,
             "the radio refused: {:?}",
             self.mote.machine.bus.refusals().first()
         );
-        self.finish(stopped, wall.elapsed(), calib, calibration)
+        self.finish(stopped, wall.elapsed())
     }
 
     fn cycle(&self, second: f64) -> u64 {
@@ -287,14 +319,13 @@ impl Session {
                     self.missing += u64::from(header.sequence.wrapping_sub(last.sequence).wrapping_sub(1));
                 }
                 let sighted = self.mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
-                let half_turn_s = 1.0 / 120.0;
                 self.fixes.push(FixRow {
                     cycle: sent.start_cycle,
                     sighted,
                     seconds: self.seconds(sighted),
                     position: report.position.map(f64::from),
                     mismatch_m: f64::from(report.mismatch),
-                    age_s: f64::from(report.age) * half_turn_s,
+                    age_s: f64::from(report.age) * HALF_TURN_S,
                     sequence: header.sequence,
                     truth: self.truth_at(sighted),
                 });
@@ -306,11 +337,13 @@ impl Session {
         Ok(())
     }
 
-    fn finish(self, stopped: Load, wall: Duration, calib: &Path, calibration: &Calibration) -> Result<Run> {
+    fn finish(self, stopped: Load, wall: Duration) -> Result<Run> {
+        let calibration = &self.calibration;
         let room = Room::of(calibration);
+        let every_s = f64::from(calibration.mote.report_every_half_turns) * HALF_TURN_S;
         let (score, others, title, truth, spans) = match &self.source {
             Source::World { world, sweeps } => (
-                Score::of_simulation(sweeps, &self.fixes, self.mote_hz, |cycle| world.truth(cycle)),
+                Score::of_simulation(sweeps, &self.fixes, self.mote_hz, every_s, |cycle| world.truth(cycle)),
                 Vec::new(),
                 format!("Simulated room, {:.0} s by hand", self.length_s),
                 self.truth,
@@ -360,7 +393,7 @@ impl Session {
                 ("fixes_refused".to_string(), json!(self.losses.fixes)),
                 ("reports_lost".to_string(), json!(self.losses.reports)),
                 ("frames_garbled".to_string(), json!(self.garbled)),
-                ("room".to_string(), json!(calib.display().to_string())),
+                ("room".to_string(), json!(self.calib.display().to_string())),
                 ("times_real_time".to_string(), json!((self.length_s / wall.as_secs_f64()).round())),
             ],
             fixes: self.fixes,

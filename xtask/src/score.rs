@@ -108,11 +108,18 @@ impl Score {
     }
 
     /// Scores the fixes, in the order of their cycles, of a mote that saw sweeps at the cycles
-    /// `sweeps`; `truth` says where it was at any cycle.
-    pub fn of_simulation(sweeps: &[u64], fixes: &[FixRow], mote_hz: f64, truth: impl Fn(u64) -> [f64; 3]) -> Self {
+    /// `sweeps` and was told to report once in `every_s`; `truth` says where it was at any cycle.
+    pub fn of_simulation(
+        sweeps: &[u64],
+        fixes: &[FixRow],
+        mote_hz: f64,
+        every_s: f64,
+        truth: impl Fn(u64) -> [f64; 3],
+    ) -> Self {
+        let window = window(mote_hz).max((every_s * mote_hz) as u64);
         let errors: Vec<[f64; 3]> = sweeps
             .iter()
-            .filter_map(|&sweep| reported_for(fixes, sweep, sweep, window(mote_hz)))
+            .filter_map(|&sweep| reported_for(fixes, sweep, sweep, window))
             .map(|fix| difference(fix.position, truth(fix.sighted)))
             .collect();
         Self::of_errors(sweeps.len(), &errors)
@@ -225,7 +232,7 @@ pub(crate) mod tests {
     fn a_simulated_run_is_scored_at_the_time_of_its_fixes() {
         let fixes = [fix(1_000, [0.5, 0.0, 0.0]), fix(2_000, [1.0, 0.0, 0.0])];
         let truth = |cycle: u64| [cycle as f64 / 2_000.0, 0.0, 0.0];
-        let score = Score::of_simulation(&[990, 1_995, 7_900], &fixes, 1e6, truth);
+        let score = Score::of_simulation(&[990, 1_995, 7_900], &fixes, 1e6, 0.0, truth);
         assert_eq!((score.scored, score.fixed), (3, 2));
         assert_eq!(score.mae_cm, [0.0; 3]);
     }

@@ -194,6 +194,8 @@ impl Method {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::light::LightConfig;
     use crate::recording::tests::shared_recording;
@@ -245,7 +247,7 @@ mod tests {
         let good = "[station.A]\nrotation = [[1,0,0],[0,1,0],[0,0,1]]\nposition = [0,0,0]\n[station.B]\nrotation = [[1,0,0],[0,1,0],[0,0,1]]\nposition = [1,0,0]\n";
         fs::write(&path, good).unwrap();
         assert_eq!(Room::open(&path).unwrap().stations[1].position[0], 1.0);
-        says(&good.replace("station.B", "station.C"), "missing field `B`");
+        says(&good.replace("station.B", "station.C"), "station.C");
         says(&good.replace("position = [1,0,0]", "position = [1,0]"), ":6:");
         says(&good.replacen("[[1,0,0]", "[[2,0,0]", 1), "station.A.rotation");
         assert!(Room::open(&dir.path().join("gone.toml")).is_err());

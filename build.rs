@@ -8,6 +8,8 @@ mod firmware;
 mod quantise;
 #[path = "calib/schema.rs"]
 mod schema;
+#[path = "calib/solver.rs"]
+mod solver;
 #[path = "calib/volume.rs"]
 mod volume;
 
@@ -25,6 +27,7 @@ fn main() {
 fn bake() {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rerun-if-changed=calib");
+    println!("cargo:rerun-if-changed=src/fix");
     println!("cargo:rerun-if-env-changed=LIGHTHOUSE_CALIB");
     let chosen = env::var("LIGHTHOUSE_CALIB").unwrap_or_else(|_| "calib/default.toml".to_string());
     println!("cargo:rerun-if-changed={chosen}");

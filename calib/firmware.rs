@@ -3,40 +3,60 @@
 //! What can go wrong: a room that the fixed-point solver cannot hold; it is refused with the number that breaks.
 
 use super::quantise::{self, Baked, Room};
-use super::schema::{Calibration, Error, RoomBox, Rotor, Station};
-use super::volume::shared_view;
+use super::schema::{Calibration, Error, Estimate, RoomBox, Rotor, Station};
+use super::solver::Calib;
+use super::volume::{reach, shared_view};
 
 /// Milliseconds of a half turn.
 const HALF_TURN_MS: f64 = 1000.0 / 120.0;
 /// Units of [`lighthouse_mote::angle::Angle`] in a radian: 2^20 in pi.
 const ANGLE_UNITS_PER_RAD: f64 = (1u32 << 20) as f64 / std::f64::consts::PI;
 
-/// The declared volume, or the one both stations light.
-///
-/// # Errors
-/// The stations share no view.
-pub fn volume(file: &str, calibration: &Calibration) -> Result<RoomBox, Error> {
-    calibration.room.or_else(|| shared_view(&calibration.stations)).ok_or_else(|| Error {
-        file: file.to_string(),
-        line: 1,
-        field: "station".to_string(),
-        what: "the two stations light no common point; declare [room], or check the rotations".to_string(),
-    })
+/// A room that declares no volume is tried at these shares of its reach: the widest that the fast form can hold, or
+/// else the widest that any can.
+const SHARES: [f64; 5] = [1.0, 0.85, 0.7, 0.6, 0.5];
+
+/// A room as the solver holds it.
+#[derive(Debug, Clone)]
+pub struct Held {
+    /// The volume: the declared one, or the widest that could be held.
+    pub volume: RoomBox,
+    /// The solver's numbers.
+    pub baked: Baked,
 }
 
 /// Quantises the room.
 ///
 /// # Errors
 /// The stations share no view, or the solver cannot hold the room.
-pub fn bake(file: &str, calibration: &Calibration) -> Result<Baked, Error> {
-    let RoomBox { min, max } = volume(file, calibration)?;
-    let pose = |station: Station| quantise::Station { rotation: station.rotation, position: station.position };
-    quantise::bake(&Room { stations: calibration.stations.map(pose), min, max }).map_err(|refusal| Error {
-        file: file.to_string(),
-        line: 1,
-        field: "room".to_string(),
-        what: format!("cannot be represented: {} ({})", refusal.reason, refusal.number),
-    })
+pub fn bake(file: &str, calibration: &Calibration) -> Result<Held, Error> {
+    let stations = &calibration.stations;
+    let refuse = |field: &str, what: String| Error { file: file.to_string(), line: 1, field: field.to_string(), what };
+    let hold = |volume: RoomBox| {
+        let RoomBox { min, max } = volume;
+        let pose = |station: Station| quantise::Station { rotation: station.rotation, position: station.position };
+        quantise::bake(&Room { stations: stations.map(pose), min, max })
+            .map(|baked| Held { volume, baked })
+            .map_err(|refusal| refuse("room", format!("cannot be represented: {refusal}")))
+    };
+    if let Some(volume) = calibration.room {
+        return hold(volume);
+    }
+    let mut widest = Err(refuse(
+        "station",
+        "the two stations light no common point; declare [room], or check the rotations".to_string(),
+    ));
+    for share in SHARES {
+        let Some(volume) = shared_view(stations, share * reach(stations)) else { continue };
+        let held = hold(volume);
+        if held.as_ref().is_ok_and(|held| matches!(held.baked.calib, Calib::Fast(_))) {
+            return held;
+        }
+        if widest.is_err() {
+            widest = held;
+        }
+    }
+    widest
 }
 
 /// The factory terms of one rotor in angle units: phase, tan(tilt), gibbous sine and cosine.
@@ -45,6 +65,13 @@ pub fn rotor(rotor: &Rotor) -> [i32; 4] {
     let units = |rad: f64| (rad * ANGLE_UNITS_PER_RAD).round() as i32;
     let (sin, cos) = rotor.gibphase.sin_cos();
     [units(rotor.phase), units(rotor.tilt.tan()), units(rotor.gibmag * cos), units(rotor.gibmag * sin)]
+}
+
+/// A station as the tracker wants it: its axes right, up, forward in the world, Q15, and its position, Q24 m.
+#[must_use]
+pub fn pose(station: &Station) -> ([[i32; 3]; 3], [i32; 3]) {
+    let fixed = |value: f64, bits: i32| (value * f64::powi(2.0, bits)).round() as i32;
+    (station.rotation.map(|row| row.map(|entry| fixed(entry, 15))), station.position.map(|axis| fixed(axis, 24)))
 }
 
 /// The age rule in whole half turns, at least one.
@@ -58,7 +85,7 @@ pub fn max_age_half_turns(calibration: &Calibration) -> u16 {
 /// # Errors
 /// As [`bake`].
 pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
-    let solver = bake(file, calibration)?.emit();
+    let solver = bake(file, calibration)?.baked.emit();
     let mote = calibration.mote;
     let rotors = calibration.stations.map(|station| {
         let [az, el] = station.factory.each_ref().map(|terms| {
@@ -70,12 +97,29 @@ pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
         format!("[{az}, {el}]")
     });
     let max_age = max_age_half_turns(calibration);
+    let poses = calibration.stations.map(|station| {
+        let ([right, up, forward], position) = pose(&station);
+        let column = |[x, y, z]: [i32; 3]| format!("{x}, {y}, {z}");
+        format!(
+            "lighthouse_mote::track::Pose {{ axes: nalgebra::Matrix3::from_array_storage(nalgebra::ArrayStorage([[{}], \
+             [{}], [{}]])), position: nalgebra::Vector3::new({}) }}",
+            column(right),
+            column(up),
+            column(forward),
+            column(position)
+        )
+    });
+    let provenance: String =
+        calibration.provenance.iter().map(|(key, value)| format!("// {key}: {}\n", value.replace('\n', " "))).collect();
     Ok(format!(
-        "/// The room, as baked from `{file}`.
+        "{provenance}/// The room, as baked from `{file}`.
 pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
     sweep: lighthouse_mote::sweep::Config::DEFAULT,
     angle: lighthouse_mote::angle::Config {{ rotors: [{}, {}] }},
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},
+    track: lighthouse_mote::track::Config::HAND_HELD,
+    room: lighthouse_mote::track::Room {{ stations: [{}, {}] }},
+    estimate: lighthouse_mote::chain::Estimate::{estimate},
     report_every_half_turns: {every},
 }};
 /// The personal area network.
@@ -85,6 +129,12 @@ pub const MOTE: u16 = {id};
 ",
         rotors[0],
         rotors[1],
+        poses[0],
+        poses[1],
+        estimate = match mote.estimate {
+            Estimate::Track => "Track",
+            Estimate::Fix => "Fix",
+        },
         every = mote.report_every_half_turns,
         pan = mote.pan,
         id = mote.id,

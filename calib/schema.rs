@@ -66,15 +66,26 @@ pub struct Mote {
     pub id: u16,
     /// PAN id, 0 ..= 0xFFFE.
     pub pan: u16,
+    /// Whose position is reported.
+    pub estimate: Estimate,
     /// At most one report per so many half turns (8.333 ms).
     pub report_every_half_turns: u16,
     /// The oldest angle a fix may use, ms.
     pub max_angle_age_ms: f64,
 }
 
+/// Whose position a mote reports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Estimate {
+    /// `"track"`: the tracker's.
+    Track,
+    /// `"fix"`: each fix as it is.
+    Fix,
+}
+
 impl Default for Mote {
     fn default() -> Self {
-        Self { id: 1, pan: 0x4C48, report_every_half_turns: 1, max_angle_age_ms: 100.0 }
+        Self { id: 1, pan: 0x4C48, estimate: Estimate::Track, report_every_half_turns: 1, max_angle_age_ms: 100.0 }
     }
 }
 
@@ -208,7 +219,7 @@ fn room(table: &Table<'_>) -> Result<RoomBox, Error> {
 }
 
 fn mote(table: &Table<'_>) -> Result<Mote, Error> {
-    table.only(&["id", "pan", "report_every_half_turns", "max_angle_age_ms"])?;
+    table.only(&["id", "pan", "estimate", "report_every_half_turns", "max_angle_age_ms"])?;
     let usual = Mote::default();
     let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
         Ok(table.optional(key, |value, at| at.whole(value, max))?.unwrap_or(usual))
@@ -224,6 +235,7 @@ fn mote(table: &Table<'_>) -> Result<Mote, Error> {
     Ok(Mote {
         id: whole("id", usual.id, 0xFFFD)?,
         pan: whole("pan", usual.pan, 0xFFFE)?,
+        estimate: table.optional("estimate", |value, at| at.estimate(value))?.unwrap_or(usual.estimate),
         report_every_half_turns,
         max_angle_age_ms,
     })
@@ -366,6 +378,14 @@ impl<'a> At<'a> {
             .and_then(|whole| u16::try_from(whole).ok())
             .filter(|whole| *whole <= max)
             .ok_or_else(|| self.error(value, format!("{} is no whole number in 0 ..= {max}", shown(value.get_ref()))))
+    }
+
+    fn estimate(&self, value: &Spanned<DeValue<'_>>) -> Result<Estimate, Error> {
+        match value.get_ref() {
+            DeValue::String(text) if text == "track" => Ok(Estimate::Track),
+            DeValue::String(text) if text == "fix" => Ok(Estimate::Fix),
+            other => Err(self.error(value, format!("{} is neither \"track\" nor \"fix\"", shown(other)))),
+        }
     }
 
     fn array<const N: usize>(&self, value: &'a Spanned<DeValue<'a>>) -> Result<[&'a Spanned<DeValue<'a>>; N], Error> {

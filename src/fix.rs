@@ -8,13 +8,17 @@
 //! What can go wrong: an angle is too old (the mote has moved since), the rays pass each other too far (one of them is
 //! a reflection), they are too close to parallel. Each means no fix, never a stale or a wild one; each is counted.
 
+mod fast;
 mod general;
 mod layout;
+mod reciprocal;
 mod tan;
+mod walk;
 
-pub use layout::{Calib, General, Reject, Solution};
+pub use crate::angle::Angle;
+pub use layout::{Calib, Fast, General, HALF, LEAST, Linear, Lines, Reject, Row, Scene, Solution, WEIGHTS, Weight};
 
-use crate::angle::{Angle, Bearing};
+use crate::angle::Bearing;
 use crate::sweep::HalfTurn;
 use crate::time::{Span, Ticks};
 
@@ -25,6 +29,12 @@ pub struct Config {
     pub calib: Calib,
     /// The oldest an angle may be, in half turns; 12 is 100 ms.
     pub max_age_half_turns: u16,
+}
+
+impl Config {
+    fn max_age(&self, half_turn: HalfTurn) -> u32 {
+        half_turn.span().0.saturating_mul(u32::from(self.max_age_half_turns))
+    }
 }
 
 /// The newest angle of each rotor, and what was refused.
@@ -58,6 +68,26 @@ impl State {
         self.refused
     }
 
+    /// How much older than `now` the oldest of the four angles is; the longest span where one is missing.
+    #[must_use]
+    pub fn age(&self, now: Ticks) -> Span {
+        let ages = self.newest.iter().map(|newest| newest.map_or(Span(u32::MAX), |(_, at)| now.since(at)));
+        ages.fold(Span(0), Span::max)
+    }
+
+    /// Which stations gave an angle that is not too old at `now`: bit 0 A, bit 1 B.
+    #[must_use]
+    pub fn stations(&self, config: &Config, now: Ticks, half_turn: HalfTurn) -> u8 {
+        let oldest = config.max_age(half_turn);
+        let mut seen = 0;
+        for (bit, angles) in [1, 2].into_iter().zip(self.newest.chunks_exact(2)) {
+            if angles.iter().flatten().any(|(_, at)| now.since(*at).0 <= oldest) {
+                seen |= bit;
+            }
+        }
+        seen
+    }
+
     /// Drops every angle: their ages are no longer known.
     pub fn forget(&mut self) {
         self.newest = [None; 4];
@@ -67,20 +97,29 @@ impl State {
 /// Takes one bearing; gives the fix that it completes.
 #[inline]
 pub fn step(config: &Config, state: &mut State, bearing: Bearing) -> Option<Fix> {
-    let newest = (bearing.angle, bearing.at);
+    note(state, bearing);
+    newest(config, state, bearing.at, bearing.half_turn)
+}
+
+/// Remembers one bearing without solving anything.
+#[inline]
+pub fn note(state: &mut State, bearing: Bearing) {
     if let Some(slot) = state.newest.get_mut(2 * bearing.station as usize + bearing.axis as usize) {
-        *slot = Some(newest);
+        *slot = Some((bearing.angle, bearing.at));
     }
+}
+
+/// The fix from the newest angle of each rotor, if none is too old at `now`.
+#[inline]
+pub fn newest(config: &Config, state: &mut State, now: Ticks, half_turn: HalfTurn) -> Option<Fix> {
     let [az_a, el_a, az_b, el_b] = state.newest;
     let known = [az_a?, el_a?, az_b?, el_b?];
-    let age = known.iter().map(|(_, at)| bearing.at.since(*at)).max()?;
-    if age.0 > bearing.half_turn.span().0.saturating_mul(u32::from(config.max_age_half_turns)) {
+    let age = state.age(now);
+    if age.0 > config.max_age(half_turn) {
         return None;
     }
     match solve(&config.calib, &known.map(|(angle, _)| angle)) {
-        Ok(Solution { position, mismatch }) => {
-            Some(Fix { position, mismatch, at: bearing.at, age, half_turn: bearing.half_turn })
-        }
+        Ok(Solution { position, mismatch }) => Some(Fix { position, mismatch, at: now, age, half_turn }),
         Err(_) => {
             state.refused = state.refused.wrapping_add(1);
             None
@@ -96,6 +135,7 @@ pub fn step(config: &Config, state: &mut State, bearing: Bearing) -> Option<Fix>
 pub fn solve(calib: &Calib, angles: &[Angle; 4]) -> Result<Solution, Reject> {
     let raw = [angles[0].0, angles[1].0, angles[2].0, angles[3].0];
     match calib {
+        Calib::Fast(fast) => fast::solve(fast, raw),
         Calib::General(general) => general::solve(general, raw),
     }
 }

@@ -14,6 +14,8 @@ pub mod angle;
 
 pub mod fix;
 
+pub mod track;
+
 pub mod frame;
 
 pub mod chain;

@@ -102,7 +102,7 @@ pub enum Light {
 pub struct Config {
     /// How far from its predicted place a flash may rise: half turn >> this. 7 is 65 us.
     pub window_shift: u32,
-    /// How many half turns the cycle is carried on without any flash. 12 is 100 ms.
+    /// How many half turns the cycle is carried on without any flash. 48 is 0.4 s.
     pub coast_half_turns: u16,
     /// The shortest sweep pulse, in units of 1/8192 half turn (1.02 us). Real ones last 1.5 to 20 us.
     pub shortest_sweep: u32,
@@ -122,7 +122,7 @@ pub enum Stamp {
 
 impl Config {
     /// The values named in the field documentation.
-    pub const DEFAULT: Self = Self { window_shift: 7, coast_half_turns: 12, shortest_sweep: 1, stamp: Stamp::Middle };
+    pub const DEFAULT: Self = Self { window_shift: 7, coast_half_turns: 48, shortest_sweep: 1, stamp: Stamp::Middle };
 }
 
 impl Default for Config {
@@ -160,6 +160,13 @@ impl State {
         self.counts
     }
 
+    /// The half turn, if the latest slot was left without a sweep; said once per slot.
+    #[inline]
+    pub fn dark_slot(&mut self) -> Option<HalfTurn> {
+        let lock = self.lock.as_mut()?;
+        lock.take_dark().then_some(lock.half_turn)
+    }
+
     /// The measured half turn, while the cycle is locked.
     #[must_use]
     pub fn half_turn(&self) -> Option<HalfTurn> {
@@ -188,7 +195,7 @@ pub fn step(config: &Config, state: &mut State, pulse: Pulse) -> Option<Light> {
     None
 }
 
-/// Says whether the light has been gone too long, where no pulse comes to say so.
+/// Says whether the light has been gone too long, where no pulse comes to say so; `now` is later than every pulse.
 ///
 /// To be called at least once per quarter wrap of the counter: a darkness of a whole wrap must not look short.
 #[inline]

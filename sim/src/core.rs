@@ -2,7 +2,7 @@
 //!
 //! The firmware's argument is a budget: so many cycles from light to position, so much of the time asleep. A core
 //! that counts cycles, sleeps and takes interrupts as the chip does turns that argument into a measurement. The core
-//! knows nothing of the chip around it except the [`Bus`](crate::bus::Bus).
+//! knows nothing of the chip around it except the [`Bus`].
 //!
 //! What can go wrong: code that relies on UNPREDICTABLE behaviour faults here although silicon may do something with
 //! it. Memory has no wait states. A load or store of several registers always finishes, where silicon abandons and

@@ -93,8 +93,8 @@ impl Memory {
 
     /// What runs at `pc`: [`Op::Unknown`] if it was not decoded yet or is not in code RAM.
     #[inline(always)]
-    pub(crate) fn operation(&self, pc: u32) -> Op {
-        self.operations.get((pc >> 1) as usize).copied().unwrap_or(Op::Unknown)
+    pub(crate) fn operation(&self, pc: u32) -> &Op {
+        self.operations.get((pc >> 1) as usize).unwrap_or(&Op::Unknown)
     }
 
     /// Decodes what runs at `pc` and keeps it if it is in code RAM. `None` where nothing can run.

@@ -4,6 +4,8 @@
 //! multiplication serves, and the product may wrap: only the sum has to fit. The error is 1.7e-6 RMS over the field
 //! of view and at most 1.6e-5, at its edge.
 
+use super::layout::HALF;
+
 /// Angle units per half turn.
 const HALF_TURN: f64 = 1_048_576.0;
 /// log2 of the width of a cell in angle units.
@@ -15,9 +17,9 @@ const LEFT: i32 = (CELLS as i32) << (CELL_BITS - 1);
 /// One in the Q28 of the result.
 const ONE: f64 = (1u32 << 28) as f64;
 
-const TABLE: [(i32, i32); CELLS] = table();
+static TABLE: [(i32, i32); CELLS] = table();
 
-/// tan(angle) in Q28, or nothing outside the field of view (+-60.03 deg).
+/// tan(angle) + [`HALF`] in Q28, or nothing outside the field of view (+-60.03 deg).
 #[inline(always)]
 pub(super) fn tan(angle: i32) -> Option<i32> {
     let from_left = angle.wrapping_add(LEFT) as u32;
@@ -38,7 +40,7 @@ const fn table() -> [(i32, i32); CELLS] {
         let slope = round((at_right - at_left) / width);
         // Simpson's mean of the curve, so that the line has no bias in its cell.
         let mean = (at_left + 4.0 * at_middle + at_right) / 6.0;
-        let base = mean - slope as f64 * (left + width / 2.0);
+        let base = mean - slope as f64 * (left + width / 2.0) + HALF as f64;
         // The true base may leave i32; what counts is the sum modulo 2^32.
         table[cell] = (round(base) as i32, slope as i32);
         cell += 1;
@@ -63,4 +65,33 @@ const fn tangent(angle: f64) -> f64 {
         power += 2;
     }
     sine / cosine
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_angle_in_view_has_its_tangent() {
+        let (mut max, mut square) = (0.0f64, 0.0);
+        let view = -349_525..=349_525;
+        for angle in view.clone() {
+            let exact = (f64::from(angle) * core::f64::consts::PI / HALF_TURN).tan();
+            let found = tan(angle).expect("an angle in view");
+            let error = f64::from(found - HALF) / ONE - exact;
+            max = max.max(error.abs());
+            square += error * error;
+        }
+        let rms = (square / view.count() as f64).sqrt();
+        assert!(max < 1.2e-5, "{max}");
+        assert!(rms < 1.7e-6, "{rms}");
+    }
+
+    #[test]
+    fn the_field_of_view_ends_at_sixty_degrees() {
+        assert_eq!(tan(349_696), None);
+        assert_eq!(tan(-349_697), None);
+        assert_eq!(tan(i32::MIN), None);
+        assert_eq!(tan(i32::MAX), None);
+    }
 }

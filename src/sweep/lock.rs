@@ -35,6 +35,8 @@ pub(super) struct Lock {
     slot: Option<u8>,
     flashes: [Option<Flash>; 2],
     swept: bool,
+    /// A slot has ended without a sweep since this was last asked.
+    dark: bool,
     dark_slots: u16,
     contradictions: u8,
     /// Whether A skipped in the last slot where both flashes were seen, and whether that was the slot before.
@@ -53,6 +55,7 @@ impl Lock {
             slot: None,
             flashes: [Some(Flash { start: a.start, width: a.width }), Some(Flash { start: b.start, width: b.width })],
             swept: false,
+            dark: false,
             dark_slots: 0,
             contradictions: 0,
             last_skip: None,
@@ -79,10 +82,16 @@ impl Lock {
             self.slot_start = self.slot_start.after(self.units.half_turn);
             self.slot = self.slot.map(|slot| (slot + 1) % SLOTS);
             self.flashes = [None, None];
+            self.dark = !self.swept;
             self.swept = false;
             self.last_skip = self.last_skip.map(|(skip, age)| (skip, age.saturating_add(1)));
             self.measured = self.measured.map(|(at, age)| (at, age.saturating_add(1)));
         }
+    }
+
+    /// Whether a slot has ended without a sweep since the last time.
+    pub(super) fn take_dark(&mut self) -> bool {
+        core::mem::take(&mut self.dark)
     }
 
     pub(super) fn place(&mut self, config: &Config, pulse: Pulse) -> Option<Light> {

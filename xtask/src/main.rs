@@ -10,6 +10,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+mod bake;
 mod ci;
 mod firmware;
 mod process;
@@ -34,6 +35,12 @@ enum Verb {
     /// Prints what the mote reports while it runs and a table at the end, and writes target/run: fixes.csv,
     /// frames.pcap (for Wireshark), trajectory.svg (look at it), summary.json.
     Run(run::Arguments),
+    /// Show what a room becomes on the mote: which solver it gets, and how exact that is
+    Bake {
+        /// The calibration
+        #[arg(default_value = "calib/default.toml")]
+        calib: PathBuf,
+    },
     /// Run every test: on this computer, and on an emulated Cortex-M0 like the one in the mote
     ///
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
@@ -55,6 +62,7 @@ enum Verb {
 fn main() -> ExitCode {
     let done = match Arguments::parse().verb {
         Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
+        Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
         Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),

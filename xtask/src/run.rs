@@ -128,7 +128,7 @@ fn scene(arguments: &Arguments, named: Option<&Path>, calibration: &Calibration)
             }
         }
         // The middle half of the room: a person does not carry a mote along the walls.
-        let volume = baked::volume(&named.display().to_string(), calibration)?;
+        let volume = baked::bake(&named.display().to_string(), calibration)?.volume;
         let within = |part: f64| std::array::from_fn(|k| volume.min[k] + part * (volume.max[k] - volume.min[k]));
         scene.path = MotePath::HandHeld { low_m: within(0.25), high_m: within(0.75), mean_speed_m_per_s: 0.27 };
     }

@@ -99,8 +99,8 @@ impl Core {
         let aligned = sp & 4 != 0;
         let frame = sp.wrapping_sub(FRAME_BYTES) & !4;
         let psr = registers.apsr()
-            | u32::from(self.thumb) * THUMB_BIT
-            | u32::from(aligned) * FRAME_ALIGNED
+            | (u32::from(self.thumb) * THUMB_BIT)
+            | (u32::from(aligned) * FRAME_ALIGNED)
             | u32::from(registers.ipsr);
         registers.set_sp(frame);
         let r = |n| registers.get(n);

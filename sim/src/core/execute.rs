@@ -1,7 +1,8 @@
 //! The instructions.
 //!
 //! One loop and one `match`. Whatever concerns more than the next instruction (an access to a device, a change of
-//! masks, a fault) ends the loop by moving its horizon to now, so the loop itself checks one number.
+//! masks, a fault) ends the loop by moving its horizon to now, so the loop itself checks one number. An instruction not
+//! decoded yet is one more arm of the `match` and goes round again: a test before it would cost every instruction.
 //!
 //! What can go wrong: an instruction that faults must leave its destination and the program counter as they were.
 
@@ -221,11 +222,6 @@ impl Core {
     #[inline(never)]
     pub(super) fn run<B: Bus>(&mut self, memory: &mut Memory, bus: &mut B) {
         let fast_multiply = self.timing.multiply();
-        macro_rules! registers {
-            () => {
-                self.registers
-            };
-        }
         macro_rules! get {
             ($n:expr) => {
                 self.registers.get($n)
@@ -233,13 +229,8 @@ impl Core {
         }
         while self.cycles < self.horizon {
             let pc = self.registers.pc;
+            let mut fetched;
             let mut op = memory.operation(pc);
-            if op == Op::Unknown {
-                match self.fetch(memory, pc) {
-                    Some(decoded) => op = decoded,
-                    None => return,
-                }
-            }
             let mut next = pc.wrapping_add(2);
             let mut spent = cycles::ALU;
 
@@ -257,7 +248,6 @@ impl Core {
                     let Some(value) = self.load::<$bytes, B>(memory, bus, address) else {
                         return;
                     };
-                    #[expect(clippy::redundant_closure_call, reason = "the closure says how the value is extended")]
                     self.registers.set($t, $extend(value));
                     spent = cycles::LOAD_STORE;
                 }};
@@ -285,262 +275,279 @@ impl Core {
                 };
             }
 
-            match op {
-                Op::Unknown | Op::Undefined => return self.refuse(pc, "undefined instruction"),
-                Op::Movs { d, m } => self.assign(d, get!(m)),
-                Op::LslImm { d, m, shift } => {
-                    let value = get!(m);
-                    registers!().c = value >> (32 - shift) & 1 != 0;
-                    self.assign(d, value << (shift & 31));
-                }
-                Op::LsrImm { d, m, shift } => {
-                    let value = get!(m);
-                    registers!().c = value >> (shift - 1) & 1 != 0;
-                    self.assign(d, (u64::from(value) >> shift) as u32);
-                }
-                Op::AsrImm { d, m, shift } => {
-                    let value = get!(m) as i32;
-                    registers!().c = value >> (shift - 1) & 1 != 0;
-                    self.assign(d, (i64::from(value) >> shift) as u32);
-                }
-                Op::AddReg { d, n, m } => {
-                    let result = self.add(get!(n), get!(m));
-                    registers!().set(d, result);
-                }
-                Op::SubReg { d, n, m } => {
-                    let result = self.subtract(get!(n), get!(m));
-                    registers!().set(d, result);
-                }
-                Op::AddImm { d, n, imm } => {
-                    let result = self.add(get!(n), u32::from(imm));
-                    registers!().set(d, result);
-                }
-                Op::SubImm { d, n, imm } => {
-                    let result = self.subtract(get!(n), u32::from(imm));
-                    registers!().set(d, result);
-                }
-                Op::MovImm { d, imm } => self.assign(d, u32::from(imm)),
-                Op::CmpImm { n, imm } => {
-                    self.subtract(get!(n), u32::from(imm));
-                }
-                Op::And { d, m } => self.assign(d, get!(d) & get!(m)),
-                Op::Eor { d, m } => self.assign(d, get!(d) ^ get!(m)),
-                Op::LslReg { d, m } => {
-                    self.shift_by_register(d, m, |value, by| value << by, |value, by| value << by >> 32 & 1 != 0);
-                }
-                Op::LsrReg { d, m } => {
-                    self.shift_by_register(d, m, |value, by| value >> by, |value, by| value >> (by - 1) & 1 != 0);
-                }
-                Op::AsrReg { d, m } => {
-                    let signed = |value: u64| i64::from(value as u32 as i32);
-                    self.shift_by_register(
-                        d,
-                        m,
-                        |value, by| (signed(value) >> by) as u64,
-                        |value, by| signed(value) >> (by - 1) & 1 != 0,
-                    );
-                }
-                Op::RorReg { d, m } => {
-                    let amount = get!(m) & 0xFF;
-                    let result = get!(d).rotate_right(amount & 31);
-                    if amount != 0 {
-                        registers!().c = result >> 31 != 0;
+            loop {
+                match *op {
+                    Op::Unknown => {
+                        match self.fetch(memory, pc) {
+                            Some(decoded) => fetched = decoded,
+                            None => return,
+                        }
+                        op = &fetched;
+                        continue;
                     }
-                    self.assign(d, result);
-                }
-                Op::Adc { d, m } => {
-                    let result = self.add_with_carry(get!(d), get!(m));
-                    registers!().set(d, result);
-                }
-                Op::Sbc { d, m } => {
-                    let result = self.add_with_carry(get!(d), !get!(m));
-                    registers!().set(d, result);
-                }
-                Op::Tst { n, m } => registers!().set_nz(get!(n) & get!(m)),
-                Op::Rsb { d, n } => {
-                    let result = self.subtract(0, get!(n));
-                    registers!().set(d, result);
-                }
-                Op::CmpReg { n, m } => {
-                    self.subtract(get!(n), get!(m));
-                }
-                Op::Cmn { n, m } => {
-                    self.add(get!(n), get!(m));
-                }
-                Op::Orr { d, m } => self.assign(d, get!(d) | get!(m)),
-                Op::Mul { d, m } => {
-                    self.assign(d, get!(d).wrapping_mul(get!(m)));
-                    spent = fast_multiply;
-                }
-                Op::Bic { d, m } => self.assign(d, get!(d) & !get!(m)),
-                Op::Mvn { d, m } => self.assign(d, !get!(m)),
-                Op::AddHigh { d, m } => registers!().set(d, get!(d).wrapping_add(get!(m))),
-                Op::AddToSp { m } => registers!().set_sp(get!(SP).wrapping_add(get!(m))),
-                Op::AddConstant { d, value } => registers!().set(d, get!(d).wrapping_add(value)),
-                Op::AddPc { m } => {
-                    next = pc.wrapping_add(4).wrapping_add(get!(m)) & !1;
-                    spent = cycles::BRANCH;
-                }
-                Op::Mov { d, m } => registers!().set(d, get!(m)),
-                Op::MovToSp { m } => registers!().set_sp(get!(m)),
-                Op::MovPc { m } => {
-                    next = get!(m) & !1;
-                    spent = cycles::BRANCH;
-                }
-                Op::Bx { m } => {
-                    self.branch_exchange(get!(m));
-                    next = registers!().pc;
-                    spent = cycles::BRANCH;
-                }
-                Op::Blx { m } => {
-                    let target = get!(m);
-                    registers!().set(LR, next | 1);
-                    self.jump(target);
-                    next = registers!().pc;
-                    spent = cycles::BRANCH;
-                }
-                Op::Constant { d, value } => registers!().set(d, value),
-                Op::LdrLiteral { t, address } => load!(4, t, address),
-                Op::StrReg { t, n, m } => store!(4, t, indexed!(n, m)),
-                Op::StrhReg { t, n, m } => store!(2, t, indexed!(n, m)),
-                Op::StrbReg { t, n, m } => store!(1, t, indexed!(n, m)),
-                Op::LdrsbReg { t, n, m } => load!(1, t, indexed!(n, m), |value| value as i8 as u32),
-                Op::LdrReg { t, n, m } => load!(4, t, indexed!(n, m)),
-                Op::LdrhReg { t, n, m } => load!(2, t, indexed!(n, m)),
-                Op::LdrbReg { t, n, m } => load!(1, t, indexed!(n, m)),
-                Op::LdrshReg { t, n, m } => {
-                    load!(2, t, indexed!(n, m), |value| value as i16 as u32)
-                }
-                Op::StrImm { t, n, offset } => store!(4, t, offset!(n, offset)),
-                Op::LdrImm { t, n, offset } => load!(4, t, offset!(n, offset)),
-                Op::StrbImm { t, n, offset } => store!(1, t, offset!(n, offset)),
-                Op::LdrbImm { t, n, offset } => load!(1, t, offset!(n, offset)),
-                Op::StrhImm { t, n, offset } => store!(2, t, offset!(n, offset)),
-                Op::LdrhImm { t, n, offset } => load!(2, t, offset!(n, offset)),
-                Op::AddSpTo { d, offset } => registers!().set(d, offset!(SP, offset)),
-                Op::AdjustSp { offset } => registers!().set_sp(get!(SP).wrapping_add_signed(i32::from(offset))),
-                Op::Sxth { d, m } => registers!().set(d, get!(m) as i16 as u32),
-                Op::Sxtb { d, m } => registers!().set(d, get!(m) as i8 as u32),
-                Op::Uxth { d, m } => registers!().set(d, get!(m) & 0xFFFF),
-                Op::Uxtb { d, m } => registers!().set(d, get!(m) & 0xFF),
-                Op::Rev { d, m } => registers!().set(d, get!(m).swap_bytes()),
-                Op::Rev16 { d, m } => registers!().set(d, get!(m).swap_bytes().rotate_right(16)),
-                Op::Revsh { d, m } => registers!().set(d, (get!(m) as u16).swap_bytes() as i16 as u32),
-                Op::Push { list } => {
-                    let bytes = 4 * list.count_ones();
-                    let start = get!(SP).wrapping_sub(bytes);
-                    let Some(()) = self.store_list(memory, bus, start, list) else {
-                        return;
-                    };
-                    registers!().set_sp(start);
-                    spent = cycles::multiple(list.count_ones());
-                }
-                Op::Pop { list } => {
-                    let start = get!(SP);
-                    let Some(()) = self.load_list(memory, bus, start, list, PC) else {
-                        return;
-                    };
-                    registers!().set_sp(start.wrapping_add(4 * list.count_ones()));
-                    spent = cycles::multiple(list.count_ones());
-                }
-                Op::PopReturn { list } => {
-                    let start = get!(SP);
-                    let count = list.count_ones();
-                    let Some(()) = self.load_list(memory, bus, start, list, PC) else {
-                        return;
-                    };
-                    let last = start.wrapping_add(4 * count);
-                    let Some(target) = self.load_beat::<4, B>(memory, bus, last, count) else {
-                        return;
-                    };
-                    registers!().set_sp(last.wrapping_add(4));
-                    self.branch_exchange(target);
-                    next = registers!().pc;
-                    spent = cycles::pop_with_return(count + 1);
-                }
-                Op::Stm { n, list } => {
-                    let start = get!(n);
-                    let Some(()) = self.store_list(memory, bus, start, list) else {
-                        return;
-                    };
-                    registers!().set(n, start.wrapping_add(4 * list.count_ones()));
-                    spent = cycles::multiple(list.count_ones());
-                }
-                Op::Ldm { n, list, writeback } => {
-                    let start = get!(n);
-                    let Some(()) = self.load_list(memory, bus, start, list, n) else {
-                        return;
-                    };
-                    if writeback {
-                        registers!().set(n, start.wrapping_add(4 * list.count_ones()));
+                    Op::Undefined => return self.refuse(pc, "undefined instruction"),
+                    Op::Movs { d, m } => self.assign(d, get!(m)),
+                    Op::LslImm { d, m, shift } => {
+                        let value = get!(m);
+                        self.registers.c = value >> (32 - shift) & 1 != 0;
+                        self.assign(d, value << (shift & 31));
                     }
-                    spent = cycles::multiple(list.count_ones());
-                }
-                Op::Cps { mask } => self.set_primask(mask),
-                Op::Bkpt { immediate } => return self.halt(Halt::Breakpoint { immediate }),
-                Op::Svc => {
-                    if !self.supervisor_call() {
-                        return;
+                    Op::LsrImm { d, m, shift } => {
+                        let value = get!(m);
+                        self.registers.c = value >> (shift - 1) & 1 != 0;
+                        self.assign(d, (u64::from(value) >> shift) as u32);
+                    }
+                    Op::AsrImm { d, m, shift } => {
+                        let value = get!(m) as i32;
+                        self.registers.c = value >> (shift - 1) & 1 != 0;
+                        self.assign(d, (i64::from(value) >> shift) as u32);
+                    }
+                    Op::AddReg { d, n, m } => {
+                        let result = self.add(get!(n), get!(m));
+                        self.registers.set(d, result);
+                    }
+                    Op::SubReg { d, n, m } => {
+                        let result = self.subtract(get!(n), get!(m));
+                        self.registers.set(d, result);
+                    }
+                    Op::AddImm { d, n, imm } => {
+                        let result = self.add(get!(n), u32::from(imm));
+                        self.registers.set(d, result);
+                    }
+                    Op::SubImm { d, n, imm } => {
+                        let result = self.subtract(get!(n), u32::from(imm));
+                        self.registers.set(d, result);
+                    }
+                    Op::MovImm { d, imm } => self.assign(d, u32::from(imm)),
+                    Op::CmpImm { n, imm } => {
+                        self.subtract(get!(n), u32::from(imm));
+                    }
+                    Op::And { d, m } => self.assign(d, get!(d) & get!(m)),
+                    Op::Eor { d, m } => self.assign(d, get!(d) ^ get!(m)),
+                    Op::LslReg { d, m } => {
+                        self.shift_by_register(d, m, |value, by| value << by, |value, by| value << by >> 32 & 1 != 0);
+                    }
+                    Op::LsrReg { d, m } => {
+                        self.shift_by_register(d, m, |value, by| value >> by, |value, by| value >> (by - 1) & 1 != 0);
+                    }
+                    Op::AsrReg { d, m } => {
+                        let signed = |value: u64| i64::from(value as u32 as i32);
+                        self.shift_by_register(
+                            d,
+                            m,
+                            |value, by| (signed(value) >> by) as u64,
+                            |value, by| signed(value) >> (by - 1) & 1 != 0,
+                        );
+                    }
+                    Op::RorReg { d, m } => {
+                        let amount = get!(m) & 0xFF;
+                        let result = get!(d).rotate_right(amount & 31);
+                        if amount != 0 {
+                            self.registers.c = result >> 31 != 0;
+                        }
+                        self.assign(d, result);
+                    }
+                    Op::Adc { d, m } => {
+                        let result = self.add_with_carry(get!(d), get!(m));
+                        self.registers.set(d, result);
+                    }
+                    Op::Sbc { d, m } => {
+                        let result = self.add_with_carry(get!(d), !get!(m));
+                        self.registers.set(d, result);
+                    }
+                    Op::Tst { n, m } => self.registers.set_nz(get!(n) & get!(m)),
+                    Op::Rsb { d, n } => {
+                        let result = self.subtract(0, get!(n));
+                        self.registers.set(d, result);
+                    }
+                    Op::CmpReg { n, m } => {
+                        self.subtract(get!(n), get!(m));
+                    }
+                    Op::Cmn { n, m } => {
+                        self.add(get!(n), get!(m));
+                    }
+                    Op::Orr { d, m } => self.assign(d, get!(d) | get!(m)),
+                    Op::Mul { d, m } => {
+                        self.assign(d, get!(d).wrapping_mul(get!(m)));
+                        spent = fast_multiply;
+                    }
+                    Op::Bic { d, m } => self.assign(d, get!(d) & !get!(m)),
+                    Op::Mvn { d, m } => self.assign(d, !get!(m)),
+                    Op::AddHigh { d, m } => self.registers.set(d, get!(d).wrapping_add(get!(m))),
+                    Op::AddToSp { m } => self.registers.set_sp(get!(SP).wrapping_add(get!(m))),
+                    Op::AddConstant { d, value } => self.registers.set(d, get!(d).wrapping_add(value)),
+                    Op::AddPc { m } => {
+                        next = pc.wrapping_add(4).wrapping_add(get!(m)) & !1;
+                        spent = cycles::BRANCH;
+                    }
+                    Op::Mov { d, m } => self.registers.set(d, get!(m)),
+                    Op::MovToSp { m } => self.registers.set_sp(get!(m)),
+                    Op::MovPc { m } => {
+                        next = get!(m) & !1;
+                        spent = cycles::BRANCH;
+                    }
+                    Op::Bx { m } => {
+                        self.branch_exchange(get!(m));
+                        next = self.registers.pc;
+                        spent = cycles::BRANCH;
+                    }
+                    Op::Blx { m } => {
+                        let target = get!(m);
+                        self.registers.set(LR, next | 1);
+                        self.jump(target);
+                        next = self.registers.pc;
+                        spent = cycles::BRANCH;
+                    }
+                    Op::Constant { d, value } => self.registers.set(d, value),
+                    Op::LdrLiteral { t, address } => load!(4, t, address),
+                    Op::StrReg { t, n, m } => store!(4, t, indexed!(n, m)),
+                    Op::StrhReg { t, n, m } => store!(2, t, indexed!(n, m)),
+                    Op::StrbReg { t, n, m } => store!(1, t, indexed!(n, m)),
+                    Op::LdrsbReg { t, n, m } => {
+                        load!(1, t, indexed!(n, m), |value| value as i8 as u32)
+                    }
+                    Op::LdrReg { t, n, m } => load!(4, t, indexed!(n, m)),
+                    Op::LdrhReg { t, n, m } => load!(2, t, indexed!(n, m)),
+                    Op::LdrbReg { t, n, m } => load!(1, t, indexed!(n, m)),
+                    Op::LdrshReg { t, n, m } => {
+                        load!(2, t, indexed!(n, m), |value| value as i16 as u32)
+                    }
+                    Op::StrImm { t, n, offset } => store!(4, t, offset!(n, offset)),
+                    Op::LdrImm { t, n, offset } => load!(4, t, offset!(n, offset)),
+                    Op::StrbImm { t, n, offset } => store!(1, t, offset!(n, offset)),
+                    Op::LdrbImm { t, n, offset } => load!(1, t, offset!(n, offset)),
+                    Op::StrhImm { t, n, offset } => store!(2, t, offset!(n, offset)),
+                    Op::LdrhImm { t, n, offset } => load!(2, t, offset!(n, offset)),
+                    Op::AddSpTo { d, offset } => self.registers.set(d, offset!(SP, offset)),
+                    Op::AdjustSp { offset } => self.registers.set_sp(get!(SP).wrapping_add_signed(i32::from(offset))),
+                    Op::Sxth { d, m } => self.registers.set(d, get!(m) as i16 as u32),
+                    Op::Sxtb { d, m } => self.registers.set(d, get!(m) as i8 as u32),
+                    Op::Uxth { d, m } => self.registers.set(d, get!(m) & 0xFFFF),
+                    Op::Uxtb { d, m } => self.registers.set(d, get!(m) & 0xFF),
+                    Op::Rev { d, m } => self.registers.set(d, get!(m).swap_bytes()),
+                    Op::Rev16 { d, m } => self.registers.set(d, get!(m).swap_bytes().rotate_right(16)),
+                    Op::Revsh { d, m } => self.registers.set(d, (get!(m) as u16).swap_bytes() as i16 as u32),
+                    Op::Push { list } => {
+                        let bytes = 4 * list.count_ones();
+                        let start = get!(SP).wrapping_sub(bytes);
+                        let Some(()) = self.store_list(memory, bus, start, list) else {
+                            return;
+                        };
+                        self.registers.set_sp(start);
+                        spent = cycles::multiple(list.count_ones());
+                    }
+                    Op::Pop { list } => {
+                        let start = get!(SP);
+                        let Some(()) = self.load_list(memory, bus, start, list, PC) else {
+                            return;
+                        };
+                        self.registers.set_sp(start.wrapping_add(4 * list.count_ones()));
+                        spent = cycles::multiple(list.count_ones());
+                    }
+                    Op::PopReturn { list } => {
+                        let start = get!(SP);
+                        let count = list.count_ones();
+                        let Some(()) = self.load_list(memory, bus, start, list, PC) else {
+                            return;
+                        };
+                        let last = start.wrapping_add(4 * count);
+                        let Some(target) = self.load_beat::<4, B>(memory, bus, last, count) else {
+                            return;
+                        };
+                        self.registers.set_sp(last.wrapping_add(4));
+                        self.branch_exchange(target);
+                        next = self.registers.pc;
+                        spent = cycles::pop_with_return(count + 1);
+                    }
+                    Op::Stm { n, list } => {
+                        let start = get!(n);
+                        let Some(()) = self.store_list(memory, bus, start, list) else {
+                            return;
+                        };
+                        self.registers.set(n, start.wrapping_add(4 * list.count_ones()));
+                        spent = cycles::multiple(list.count_ones());
+                    }
+                    Op::Ldm { n, list, writeback } => {
+                        let start = get!(n);
+                        let Some(()) = self.load_list(memory, bus, start, list, n) else {
+                            return;
+                        };
+                        if writeback {
+                            self.registers.set(n, start.wrapping_add(4 * list.count_ones()));
+                        }
+                        spent = cycles::multiple(list.count_ones());
+                    }
+                    Op::Cps { mask } => self.set_primask(mask),
+                    Op::Bkpt { immediate } => return self.halt(Halt::Breakpoint { immediate }),
+                    Op::Svc => {
+                        if !self.supervisor_call() {
+                            return;
+                        }
+                    }
+                    Op::Nop => {}
+                    Op::Sev => self.event = true,
+                    Op::Wfe => {
+                        if !std::mem::take(&mut self.event) {
+                            self.go_to_sleep(Sleep::Event);
+                        }
+                        spent = cycles::WAIT;
+                    }
+                    Op::Wfi => {
+                        self.go_to_sleep(Sleep::Interrupt);
+                        spent = cycles::WAIT;
+                    }
+                    Op::Beq { target } => branch_if!(self.registers.z == 0, target),
+                    Op::Bne { target } => branch_if!(self.registers.z != 0, target),
+                    Op::Bcs { target } => branch_if!(self.registers.c, target),
+                    Op::Bcc { target } => branch_if!(!self.registers.c, target),
+                    Op::Bmi { target } => branch_if!((self.registers.n as i32) < 0, target),
+                    Op::Bpl { target } => branch_if!(self.registers.n as i32 >= 0, target),
+                    Op::Bvs { target } => branch_if!((self.registers.v as i32) < 0, target),
+                    Op::Bvc { target } => branch_if!(self.registers.v as i32 >= 0, target),
+                    Op::Bhi { target } => {
+                        branch_if!(self.registers.c && self.registers.z != 0, target)
+                    }
+                    Op::Bls { target } => {
+                        branch_if!(!self.registers.c || self.registers.z == 0, target)
+                    }
+                    Op::Bge { target } => {
+                        branch_if!((self.registers.n ^ self.registers.v) as i32 >= 0, target)
+                    }
+                    Op::Blt { target } => {
+                        branch_if!(((self.registers.n ^ self.registers.v) as i32) < 0, target)
+                    }
+                    Op::Bgt { target } => {
+                        branch_if!((self.registers.n ^ self.registers.v) as i32 >= 0 && self.registers.z != 0, target);
+                    }
+                    Op::Ble { target } => {
+                        branch_if!(((self.registers.n ^ self.registers.v) as i32) < 0 || self.registers.z == 0, target);
+                    }
+                    Op::B { target } => {
+                        next = target;
+                        spent = cycles::BRANCH;
+                    }
+                    Op::Bl { target } => {
+                        self.registers.set(LR, pc.wrapping_add(4) | 1);
+                        next = target;
+                        spent = cycles::BRANCH_LINK;
+                    }
+                    Op::Msr { n, special } => {
+                        self.write_special(special, get!(n));
+                        next = pc.wrapping_add(4);
+                        spent = cycles::SPECIAL_REGISTER;
+                    }
+                    Op::Mrs { d, special } => {
+                        let value = self.read_special(special);
+                        self.registers.set(d, value);
+                        next = pc.wrapping_add(4);
+                        spent = cycles::SPECIAL_REGISTER;
+                    }
+                    Op::Barrier => {
+                        next = pc.wrapping_add(4);
+                        spent = cycles::BARRIER;
                     }
                 }
-                Op::Nop => {}
-                Op::Sev => self.event = true,
-                Op::Wfe => {
-                    if !std::mem::take(&mut self.event) {
-                        self.go_to_sleep(Sleep::Event);
-                    }
-                    spent = cycles::WAIT;
-                }
-                Op::Wfi => {
-                    self.go_to_sleep(Sleep::Interrupt);
-                    spent = cycles::WAIT;
-                }
-                Op::Beq { target } => branch_if!(registers!().z == 0, target),
-                Op::Bne { target } => branch_if!(registers!().z != 0, target),
-                Op::Bcs { target } => branch_if!(registers!().c, target),
-                Op::Bcc { target } => branch_if!(!registers!().c, target),
-                Op::Bmi { target } => branch_if!((registers!().n as i32) < 0, target),
-                Op::Bpl { target } => branch_if!(registers!().n as i32 >= 0, target),
-                Op::Bvs { target } => branch_if!((registers!().v as i32) < 0, target),
-                Op::Bvc { target } => branch_if!(registers!().v as i32 >= 0, target),
-                Op::Bhi { target } => branch_if!(registers!().c && registers!().z != 0, target),
-                Op::Bls { target } => branch_if!(!registers!().c || registers!().z == 0, target),
-                Op::Bge { target } => {
-                    branch_if!((registers!().n ^ registers!().v) as i32 >= 0, target)
-                }
-                Op::Blt { target } => {
-                    branch_if!(((registers!().n ^ registers!().v) as i32) < 0, target)
-                }
-                Op::Bgt { target } => {
-                    branch_if!((registers!().n ^ registers!().v) as i32 >= 0 && registers!().z != 0, target);
-                }
-                Op::Ble { target } => {
-                    branch_if!(((registers!().n ^ registers!().v) as i32) < 0 || registers!().z == 0, target);
-                }
-                Op::B { target } => {
-                    next = target;
-                    spent = cycles::BRANCH;
-                }
-                Op::Bl { target } => {
-                    registers!().set(LR, pc.wrapping_add(4) | 1);
-                    next = target;
-                    spent = cycles::BRANCH_LINK;
-                }
-                Op::Msr { n, special } => {
-                    self.write_special(special, get!(n));
-                    next = pc.wrapping_add(4);
-                    spent = cycles::SPECIAL_REGISTER;
-                }
-                Op::Mrs { d, special } => {
-                    let value = self.read_special(special);
-                    registers!().set(d, value);
-                    next = pc.wrapping_add(4);
-                    spent = cycles::SPECIAL_REGISTER;
-                }
-                Op::Barrier => {
-                    next = pc.wrapping_add(4);
-                    spent = cycles::BARRIER;
-                }
+                break;
             }
             self.registers.pc = next;
             self.instructions += 1;

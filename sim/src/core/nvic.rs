@@ -99,6 +99,13 @@ impl Nvic {
         self.priority[usize::from(number)]
     }
 
+    /// Sets the priority of an exception that has a configurable one, 0 to 3 from urgent to patient.
+    pub fn set_priority(&mut self, number: u8, level: i8) {
+        if number > HARD_FAULT {
+            self.priority[usize::from(number)] = level.clamp(0, THREAD_PRIORITY - 1);
+        }
+    }
+
     pub(crate) fn pend(&mut self, number: u8, cycle: u64) {
         self.pend_set(bit(number), cycle);
     }
@@ -116,7 +123,8 @@ impl Nvic {
         self.sample(self.lines, cycle);
     }
 
-    pub(crate) fn enable_lines(&mut self, lines: u32) {
+    /// Enables external lines, as a write to ISER does.
+    pub fn enable_lines(&mut self, lines: u32) {
         self.enabled |= u64::from(lines) << FIRST_IRQ;
     }
 

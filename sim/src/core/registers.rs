@@ -2,7 +2,7 @@
 //!
 //! The flags are kept as the results they come from and only made into bits when the program reads the PSR.
 //!
-//! What can go wrong: `r13` is the active stack pointer; the sleeping one is swapped in by [`Registers::use_stack`]
+//! What can go wrong: `r13` is the active stack pointer; the sleeping one is swapped in by `Registers::use_stack`
 //! and nowhere else.
 
 /// Program counter as an operand: the address of the instruction plus four.
@@ -54,6 +54,15 @@ impl Registers {
     /// Register `n`; for 15 the address of the next instruction.
     pub fn read(&self, n: u8) -> u32 {
         if n == PC { self.pc } else { self.get(n) }
+    }
+
+    /// Writes register `n` from outside; for 15 the address of the next instruction.
+    pub fn write(&mut self, n: u8, value: u32) {
+        match n {
+            PC => self.pc = value & !1,
+            SP => self.set_sp(value),
+            _ => self.set(n, value),
+        }
     }
 
     /// The flags as the top four bits of a word.
@@ -136,7 +145,8 @@ impl Registers {
         self.use_stack(active);
     }
 
-    pub(crate) fn set_apsr(&mut self, value: u32) {
+    /// Sets the flags from the top four bits of a word.
+    pub fn set_apsr(&mut self, value: u32) {
         self.n = value;
         self.z = !value & 1 << 30;
         self.c = value & 1 << 29 != 0;

@@ -7,7 +7,7 @@
 use core::sync::atomic::{AtomicU16, Ordering};
 
 use heapless::spsc::{Consumer, Producer, Queue};
-use lighthouse_mote::chain::{Classifier, Config, Sighting, Solver};
+use lighthouse_mote::chain::{Classifier, Config, Seen, Sighting, Solver};
 use lighthouse_mote::frame::Report;
 use lighthouse_mote::time::Ticks;
 
@@ -67,7 +67,7 @@ impl Classify {
         };
         if let Some(refused) = refused {
             LOST.store(LOST.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
-            if refused.sweep.is_none() {
+            if refused.seen == Seen::Lost {
                 self.owed = Some(refused);
             }
         }
@@ -92,7 +92,7 @@ impl Solve {
     pub fn run(&mut self, config: &Config) -> bool {
         let mut any = false;
         while let Some(sighting) = self.sightings.dequeue() {
-            if sighting.sweep.is_none() {
+            if sighting.seen == Seen::Lost {
                 defmt::warn!("light lost; edges {=u16}, pulses {=u16}", sighting.edges_lost, sighting.pulses_lost);
             }
             let Some(mut report) = self.solver.step(config, sighting) else { continue };

@@ -8,7 +8,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 
 use crate::process::{root, run};
 use crate::qemu;
@@ -54,12 +54,8 @@ pub(crate) fn emulator() -> Result<()> {
         bail!("QEMU with its `{}` board is not installed. Install it and try again:\n  {QEMU_BY_HAND}", qemu::MACHINE);
     }
     println!("QEMU is not installed: installing the package qemu-system-arm through apt-get.");
-    // A list that cannot be refreshed may still be good enough; if not, the installation says so.
-    if let Err(error) = apt_get(&["update"]) {
-        println!("{error:#}; going on with the package lists as they are");
-    }
-    apt_get(&["install", "--yes", "--no-install-recommends", "qemu-system-arm"]).with_context(|| {
-        format!("QEMU could not be installed. Install it by hand and try again:\n  {QEMU_BY_HAND}\n ")
+    install("qemu-system-arm").map_err(|error| {
+        anyhow!("QEMU could not be installed ({error:#}). Install it by hand and try again:\n  {QEMU_BY_HAND}")
     })?;
     if !has_board() {
         bail!("{} was installed, but it does not start or has no `{}` board", qemu::PROGRAM, qemu::MACHINE);
@@ -72,19 +68,26 @@ fn has_board() -> bool {
     asked.is_ok_and(|asked| String::from_utf8_lossy(&asked.stdout).lines().any(|line| line.starts_with(qemu::MACHINE)))
 }
 
-/// Runs apt-get with the rights it needs: as root, or through a sudo that asks no password.
-fn apt_get(arguments: &[&str]) -> Result<()> {
+/// Installs a package with the rights that takes: as root, or through a sudo that asks no password.
+fn install(package: &str) -> Result<()> {
     let asked = Command::new("id").arg("-u").output().context("cannot start id")?;
-    let mut command = if asked.stdout.trim_ascii() == b"0" {
-        Command::new("env")
+    let with_rights: &[&str] = if asked.stdout.trim_ascii() == b"0" {
+        &["env"]
     } else if runs(Command::new("sudo").args(["-n", "true"])) {
-        let mut sudo = Command::new("sudo");
-        sudo.args(["-n", "env"]);
-        sudo
+        &["sudo", "-n", "env"]
     } else {
-        bail!("apt-get needs root, and sudo wants a password");
+        bail!("apt-get needs root, and sudo asks for a password");
     };
-    run(command.args(["DEBIAN_FRONTEND=noninteractive", "apt-get"]).args(arguments))
+    let apt_get = |arguments: &[&str]| {
+        let mut command = Command::new(with_rights[0]);
+        command.args(&with_rights[1..]).args(["DEBIAN_FRONTEND=noninteractive", "apt-get"]);
+        run(command.args(arguments))
+    };
+    // A list that cannot be refreshed may still be good enough; if not, the installation says so.
+    if let Err(error) = apt_get(&["update"]) {
+        println!("{error:#}; going on with the package lists as they are");
+    }
+    apt_get(&["install", "--yes", "--no-install-recommends", package])
 }
 
 /// Whether a program is there and content.

@@ -18,8 +18,13 @@ pub(crate) fn test() -> Result<()> {
 
 /// Runs every test, whatever fails on the way.
 pub(crate) fn run_all(tally: &mut Tally) {
+    // First, so that nobody waits for the host's tests only to be asked for something.
+    let emulator = setup::target(setup::CORTEX_M0).and_then(|()| setup::emulator());
     tally.part("tests on this computer", on_host);
-    tally.part("tests on the emulated Cortex-M0", on_target);
+    tally.part("tests on the emulated Cortex-M0", |tally| {
+        emulator?;
+        on_target(tally)
+    });
 }
 
 fn on_host(tally: &mut Tally) -> Result<()> {
@@ -58,7 +63,8 @@ impl Tally {
         let failed = self.failed;
         if let Err(error) = part(self) {
             eprintln!("error: {error:#}");
-            self.broken.push(format!("{name}: {error:#}"));
+            let reason = format!("{error:#}");
+            self.broken.push(format!("{name}: {}", reason.lines().next().unwrap_or_default()));
             // What did not even begin counts as one.
             self.failed = self.failed.max(failed + 1);
         }

@@ -4,8 +4,8 @@
 #[cfg(target_os = "none")]
 mod harness;
 
-use fixed::types::{I16F16, U0F16, U8F8};
-use lighthouse_mote::frame::{Header, LEN, Losses, Reject, Report, VERSION, emit, fcs, parse};
+use fixed::types::{I6F10, I16F16, U0F16, U8F8};
+use lighthouse_mote::frame::{Header, LEN, Level, Losses, Reject, Report, VERSION, emit, fcs, parse};
 
 const HEADER: Header = Header { pan: 0x1234, mote: 0xbeef, sequence: 0x0102 };
 
@@ -17,6 +17,9 @@ fn report() -> Report {
         mismatch: U0F16::from_bits(655),
         age: U8F8::from_bits(900),
         stations: 3,
+        level: Level::Tracked,
+        velocity: [I6F10::from_bits(1), I6F10::from_bits(-1_024), I6F10::MIN],
+        sd: [U0F16::from_bits(7), U0F16::from_bits(66), U0F16::MAX],
         losses: Losses { edges: 1, pulses: 2, sweeps: 3, fixes: 4, reports: u16::MAX },
     }
 }
@@ -65,8 +68,10 @@ mod tests {
         assert_eq!(bytes[33..37], i32::MIN.to_le_bytes());
         assert_eq!(bytes[37..39], 655_u16.to_le_bytes());
         assert_eq!(bytes[39..41], 900_u16.to_le_bytes());
-        assert_eq!(bytes[41], 3);
-        assert_eq!(bytes[50..52], [0xff, 0xff]);
+        assert_eq!(bytes[41], 0x23);
+        assert_eq!(bytes[44..46], (-1_024_i16).to_le_bytes());
+        assert_eq!(bytes[48..50], 7_u16.to_le_bytes());
+        assert_eq!(bytes[62..64], [0xff, 0xff]);
     }
 
     #[test]
@@ -109,6 +114,17 @@ mod tests {
     fn a_source_that_is_not_the_mote_is_named() {
         assert_eq!(parse(&with_byte(7, 0)), Err(Reject::Mote));
         assert_eq!(parse(&with_byte(13, 0)), Err(Reject::Mote));
+    }
+
+    #[test]
+    fn every_level_comes_back_and_no_other() {
+        for level in [Level::None, Level::Angles, Level::Tracked, Level::Full] {
+            let report = Report { level, ..report() };
+            assert_eq!(parse(&emit(HEADER, &report)), Ok((HEADER, report)));
+        }
+        for byte in [0x04, 0x37, 0x43, 0xf0] {
+            assert_eq!(parse(&with_byte(41, byte)), Err(Reject::Level));
+        }
     }
 
     #[test]

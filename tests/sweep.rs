@@ -279,8 +279,8 @@ mod tests {
     fn a_short_darkness_is_bridged() {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 12);
-        // Ten slots, 83 ms, without light.
-        for (truth, pulse) in cycle.pulses(22, 8) {
+        let again = 12 + u32::from(CONFIG.coast_half_turns) - 2;
+        for (truth, pulse) in cycle.pulses(again, 8) {
             assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
         }
     }
@@ -306,11 +306,31 @@ mod tests {
     fn darkness_is_noticed_without_a_pulse() {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 8);
+        let coast = u64::from(CONFIG.coast_half_turns);
         assert_eq!(expire(&CONFIG, &mut state, cycle.ticks(9 * HALF_TURN)), None);
-        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks(15 * HALF_TURN)), None);
-        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks(40 * HALF_TURN)), Some(Light::Lost));
-        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks(50 * HALF_TURN)), None);
+        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks((6 + coast) * HALF_TURN)), None);
+        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks((10 + coast) * HALF_TURN)), Some(Light::Lost));
+        assert_eq!(expire(&CONFIG, &mut state, cycle.ticks((11 + coast) * HALF_TURN)), None);
         assert_eq!(state.counts().locks_lost, 1);
+    }
+
+    #[test]
+    fn a_slot_without_a_sweep_is_said_once() {
+        let cycle = Cycle::TYPICAL;
+        let mut state = after(cycle, 0, 8);
+        state.dark_slot();
+        for index in 0..2 {
+            step(&CONFIG, &mut state, cycle.pulse(8, index).1);
+            assert_eq!(state.dark_slot(), None);
+        }
+        step(&CONFIG, &mut state, cycle.pulse(9, 0).1);
+        assert_eq!(state.dark_slot(), state.half_turn());
+        assert_eq!(state.dark_slot(), None);
+        for index in 1..3 {
+            step(&CONFIG, &mut state, cycle.pulse(9, index).1);
+        }
+        step(&CONFIG, &mut state, cycle.pulse(10, 0).1);
+        assert_eq!(state.dark_slot(), None);
     }
 
     #[test]

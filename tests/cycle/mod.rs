@@ -4,7 +4,6 @@
 //! B's, 3,000 for the shortest flash and 500 per width step. [`Cycle`] stamps it with the counter of a mote whose
 //! clock, start and angles are free.
 
-use lighthouse_mote::edge::Edge;
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::sweep::{Axis, Station, Sync};
 use lighthouse_mote::time::{Span, Ticks};
@@ -89,9 +88,4 @@ impl Cycle {
 /// The width of a flash in 1/48 us: 62.5 us, and 10.4 for the axis, 20.8 for the data bit, 41.7 for the skip.
 pub(crate) fn width(sync: Sync) -> u64 {
     3_000 + 500 * sync.axis as u64 + 1_000 * u64::from(sync.data) + 2_000 * u64::from(sync.skip)
-}
-
-/// The two edges of a pulse.
-pub(crate) fn edges(pulse: Pulse) -> [Edge; 2] {
-    [Edge::rise(pulse.start), Edge::fall(pulse.start.after(pulse.width))]
 }

@@ -5,10 +5,11 @@ use proptest::prelude::*;
 use crate::angle;
 use crate::edge::{Edge, Level};
 use crate::frame::{self, Header, LEN, Losses, Report};
-use crate::on_target::cycle::{Cycle, HALF_TURN, edges};
+use crate::on_target::cycle::{Cycle, HALF_TURN};
 use crate::pulse::{self, Pulse};
 use crate::sweep::{self, Axis, HALF_TURN_BITS, HalfTurn, Light, Station, Sweep};
 use crate::time::{Span, Ticks};
+use crate::track::Level as Known;
 
 const CONFIG: sweep::Config = sweep::Config::DEFAULT;
 
@@ -22,6 +23,11 @@ fn lights(pulses: impl IntoIterator<Item = Pulse>) -> Vec<(Pulse, Option<Light>)
 fn pulses(edges: impl IntoIterator<Item = Edge>) -> Vec<Pulse> {
     let mut state = pulse::State::default();
     edges.into_iter().filter_map(|edge| pulse::step(&mut state, edge)).collect()
+}
+
+/// The two edges of a pulse.
+fn edges(pulse: Pulse) -> [Edge; 2] {
+    [Edge::rise(pulse.start), Edge::fall(pulse.start.after(pulse.width))]
 }
 
 /// The same light, seen by a counter that started `by` ticks earlier.
@@ -237,7 +243,8 @@ proptest! {
     fn reports_come_back_as_they_left(
         (pan, mote, sequence) in any::<(u16, u16, u16)>(),
         (time, half_turn_q8, position) in any::<(u32, u32, [i32; 3])>(),
-        (mismatch, age, stations) in any::<(u16, u16, u8)>(),
+        (mismatch, age, stations, level) in (any::<u16>(), any::<u16>(), 0..4u8, 0..4usize),
+        (velocity, sd) in any::<([i16; 3], [u16; 3])>(),
         [edges, pulses, sweeps, fixes, reports] in any::<[u16; 5]>(),
     ) {
         let header = Header { pan, mote, sequence };
@@ -248,6 +255,9 @@ proptest! {
             mismatch: fixed::types::U0F16::from_bits(mismatch),
             age: fixed::types::U8F8::from_bits(age),
             stations,
+            level: [Known::None, Known::Angles, Known::Tracked, Known::Full][level],
+            velocity: velocity.map(fixed::types::I6F10::from_bits),
+            sd: sd.map(fixed::types::U0F16::from_bits),
             losses: Losses { edges, pulses, sweeps, fixes, reports },
         };
         prop_assert_eq!(frame::parse(&frame::emit(header, &report)), Ok((header, report)));
@@ -267,6 +277,7 @@ proptest! {
             let (mote, sequence) = ([bytes[13], bytes[14]], bytes[15]);
             bytes[7..9].copy_from_slice(&mote);
             bytes[2] = sequence;
+            bytes[41] &= 0x33;
         }
         let check = frame::fcs(&bytes[..LEN - 2]).to_le_bytes();
         bytes[LEN - 2..].copy_from_slice(&check);

@@ -84,6 +84,12 @@ impl Classifier {
     #[inline]
     pub fn step(&mut self, config: &Config, edge: Edge) -> Option<Sighting> {
         let pulse = pulse::step(&mut self.pulse, edge)?;
+        self.pulse(config, pulse)
+    }
+
+    /// Takes one pulse, where a board's capture already pairs the edges.
+    #[inline]
+    pub fn pulse(&mut self, config: &Config, pulse: pulse::Pulse) -> Option<Sighting> {
         match sweep::step(&config.sweep, &mut self.sweep, pulse)? {
             Light::Sweep(sweep) => self.sighting(Seen::Sweep(sweep)),
             Light::Lost => self.sighting(Seen::Lost),

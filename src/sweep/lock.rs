@@ -10,6 +10,8 @@ use crate::time::{Span, Ticks};
 
 /// The half turn estimate moves by 1/2^2 of what each whole cycle says.
 const HALF_TURN_GAIN_SHIFT: u32 = 2;
+/// Single cycles that the half turn is first learnt from: a tenth of the first error is left by then.
+const TRAINING: u8 = 8;
 /// Slots in a cycle.
 const SLOTS: u8 = 4;
 /// A flash pattern that contradicts the place in the cycle this often in a row means the place is wrong.
@@ -43,6 +45,8 @@ pub(super) struct Lock {
     last_skip: Option<(bool, u8)>,
     /// A's last seen flash of a cycle's measuring slot, and how many slots ago that was.
     measured: Option<(Ticks, u8)>,
+    /// How often the half turn has been learnt, saturating.
+    measures: u8,
 }
 
 impl Lock {
@@ -60,6 +64,7 @@ impl Lock {
             contradictions: 0,
             last_skip: None,
             measured: Some((a.start, 0)),
+            measures: 0,
         };
         lock.read_pattern();
         lock
@@ -142,19 +147,23 @@ impl Lock {
         })
     }
 
-    /// Learns the half turn from two flashes of A that are a whole cycle apart.
+    /// Learns the half turn from two flashes of A that are whole cycles apart: one at first, four later, when a longer
+    /// base costs less and says more.
     fn measure(&mut self, at: Ticks) {
+        let (cycles_log2, gain_shift) = if self.measures < TRAINING { (0, HALF_TURN_GAIN_SHIFT) } else { (2, 1) };
+        let base = SLOTS << cycles_log2;
         match self.measured {
-            Some((_, age)) if age < SLOTS => return,
-            Some((earlier, SLOTS)) => {
+            Some((_, age)) if age < base => return,
+            Some((earlier, age)) if age == base => {
                 // Four half turns in ticks are one half turn in Q2.
-                let seen_q8 = at.since(earlier).0 << (8 - 2);
-                let step = (seen_q8.wrapping_sub(self.half_turn.ticks_q8()) as i32) >> HALF_TURN_GAIN_SHIFT;
+                let seen_q8 = at.since(earlier).0 << (6 - cycles_log2);
+                let step = (seen_q8.wrapping_sub(self.half_turn.ticks_q8()) as i32) >> gain_shift;
                 let ticks_q8 = self.half_turn.ticks_q8().wrapping_add_signed(step);
                 if let Some(half_turn) = HalfTurn::from_ticks_q8(ticks_q8) {
                     self.half_turn = half_turn;
                     self.units = Units::of(half_turn);
                 }
+                self.measures = self.measures.saturating_add(1);
             }
             _ => {}
         }

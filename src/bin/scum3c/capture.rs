@@ -17,7 +17,7 @@
 
 use core::sync::atomic::{AtomicU16, AtomicU32, Ordering, compiler_fence};
 
-use lighthouse_mote::edge::Edge;
+use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::time::Ticks;
 
 use crate::pac::{Interrupt, nvic};
@@ -106,19 +106,20 @@ impl Capture {
 }
 
 impl Reader {
-    /// The oldest pulse not yet read, as the two edges it is made of.
+    /// The oldest pulse not yet read.
     #[inline]
-    pub fn next(&mut self) -> Option<[Edge; 2]> {
+    pub fn next(&mut self) -> Option<Pulse> {
         let read = QUEUE.read.load(Ordering::Relaxed);
         if read == QUEUE.written.load(Ordering::Relaxed) {
             return None;
         }
         compiler_fence(Ordering::Acquire);
         let [rise, fall] = &QUEUE.pulses[read as usize % LEN];
-        let edges = [Edge::rise(Ticks(rise.load(Ordering::Relaxed))), Edge::fall(Ticks(fall.load(Ordering::Relaxed)))];
+        let start = Ticks(rise.load(Ordering::Relaxed));
+        let pulse = Pulse { start, width: Ticks(fall.load(Ordering::Relaxed)).since(start) };
         compiler_fence(Ordering::Release);
         QUEUE.read.store(read.wrapping_add(1), Ordering::Relaxed);
-        Some(edges)
+        Some(pulse)
     }
 }
 

@@ -38,12 +38,10 @@ impl Classify {
     /// Takes every pulse there is; true when the solver has something to do.
     pub fn run(&mut self, config: &Config) -> bool {
         let mut any = false;
-        while let Some(edges) = self.pulses.next() {
-            for edge in edges {
-                if let Some(sighting) = self.classifier.step(config, edge) {
-                    self.pass_on(sighting);
-                    any = true;
-                }
+        while let Some(pulse) = self.pulses.next() {
+            if let Some(sighting) = self.classifier.pulse(config, pulse) {
+                self.pass_on(sighting);
+                any = true;
             }
         }
         any

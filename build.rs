@@ -79,6 +79,7 @@ const BOARDS: &[Board] = &[
     },
     // nRF51822 as in QEMU's `microbit`.
     Board { feature: "qemu", unit: Unit::Tests, flash: 256 * 1024, ram: 16 * 1024, device: None },
+    Board { feature: "bench", unit: Unit::Bin("bench"), flash: 256 * 1024, ram: 16 * 1024, device: None },
 ];
 
 /// Hands the linker its scripts and each board its memory.
@@ -106,8 +107,11 @@ fn link() {
         println!("{kind}=--defsym=__flash_size={}", board.flash);
         println!("{kind}=--defsym=__ram_size={}", board.ram);
         // `--nmagic`: no page alignment between sections; a mote has no pages.
-        for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
+        for argument in ["--nmagic", "-Tlink.x"] {
             println!("{kind}={argument}");
+        }
+        if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
+            println!("{kind}=-Tdefmt.x");
         }
     }
 }

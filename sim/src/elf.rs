@@ -125,7 +125,7 @@ pub(crate) fn read(file: &[u8]) -> Result<Program<'_>, LoadError> {
     }
     let by_name = parsed
         .symbols()
-        .filter(|symbol| symbol.is_definition() || symbol.section_index().is_none() && !symbol.is_undefined())
+        .filter(|symbol| !symbol.is_undefined())
         .filter_map(|symbol| {
             let name = symbol.name().ok().filter(|name| !name.is_empty() && !name.starts_with('$'))?;
             Some((name.to_owned(), Symbol { address: symbol.address() as u32, size: symbol.size() as u32 }))

@@ -5,6 +5,7 @@
 
 use anyhow::Result;
 
+use crate::bench::{self, bench};
 use crate::process::{cargo, run};
 use crate::setup;
 use crate::test::{Tally, run_all};
@@ -17,12 +18,13 @@ struct Board {
     what: &'static [&'static str],
 }
 
-const BOARDS: [Board; 2] = [
+const BOARDS: [Board; 3] = [
     Board { feature: "scum3c", target: setup::CORTEX_M0, what: &["--lib", "--bins"] },
+    Board { feature: "bench", target: setup::CORTEX_M0, what: &["--bin", "bench"] },
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
 
-/// Runs formatting, lints and tests, and closes with how many passed.
+/// Runs formatting, lints, tests and the bench, and closes with how many passed.
 pub(crate) fn ci() -> Result<()> {
     let mut tally = Tally::default();
     tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
@@ -33,6 +35,7 @@ pub(crate) fn ci() -> Result<()> {
         tally.check(&format!("lints for {}", board.feature), || lint(board));
     }
     run_all(&mut tally);
+    tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.close()
 }
 

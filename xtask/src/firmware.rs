@@ -25,12 +25,17 @@ pub(crate) fn room(calib: &Path) -> Result<Calibration> {
 /// Builds the SCuM-3C image for the room in `calib`, with the lines of `mote` in place of those under its `[mote]`;
 /// returns the ELF file's bytes.
 pub(crate) fn scum3c(calib: &Path, mote: &str) -> Result<Vec<u8>> {
+    let elf = build("scum3c", calib, mote)?;
+    std::fs::read(&elf).with_context(|| format!("{}: built, but cannot be read", elf.display()))
+}
+
+/// Builds the binary `name`, whose feature has the same name, as [`scum3c`] does; returns where it lies.
+pub(crate) fn build(name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
     setup::target(setup::CORTEX_M0)?;
-    let arguments = ["build", "--release", "--bin", "scum3c", "--features", "scum3c", "--target", setup::CORTEX_M0];
+    let arguments = ["build", "--release", "--bin", name, "--features", name, "--target", setup::CORTEX_M0];
     let calib = calib.canonicalize().with_context(|| calib.display().to_string())?;
     run(cargo(&arguments).env("LIGHTHOUSE_CALIB", &calib).env("LIGHTHOUSE_MOTE", mote))?;
-    let elf = target_dir()?.join(setup::CORTEX_M0).join("release/scum3c");
-    std::fs::read(&elf).with_context(|| format!("{}: built, but cannot be read", elf.display()))
+    Ok(target_dir()?.join(setup::CORTEX_M0).join("release").join(name))
 }
 
 /// Where cargo builds, which the user may have moved.

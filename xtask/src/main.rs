@@ -11,6 +11,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 mod bake;
+mod bench;
 mod ci;
 mod firmware;
 mod process;
@@ -41,12 +42,18 @@ enum Verb {
         #[arg(default_value = "calib/default.toml")]
         calib: PathBuf,
     },
+    /// Count what the firmware costs: instructions, cycles, flash and stack of each stage, processor load, delays, sizes
+    ///
+    /// Runs the release firmware's own code in the virtual mote, beside what the position would cost the usual way,
+    /// and has QEMU count the same instructions. Prints one table and writes target/bench/summary.json. What grew
+    /// since tests/expected/bench.txt was written is an error.
+    Bench(bench::Arguments),
     /// Run every test: on this computer, and on an emulated Cortex-M0 like the one in the mote
     ///
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
     /// system's package manager.
     Test,
-    /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test
+    /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test, every cost
     Ci,
     /// Run one program on the emulated Cortex-M0 and print its log; cargo calls this for `cargo test --target ...`
     #[command(hide = true)]
@@ -63,6 +70,7 @@ fn main() -> ExitCode {
     let done = match Arguments::parse().verb {
         Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
         Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),
+        Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
         Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),

@@ -1,0 +1,273 @@
+//! Each stage called by itself in the virtual mote, under the light of the default room.
+//!
+//! The stages hand their results on in the mote's memory, as in the firmware; here it is only decided who is called
+//! next. Every call is counted: instructions, cycles, stack.
+//!
+//! What can go wrong: a reference that solves something else. Each is held against the fix.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Context, Result, ensure};
+use sim::core::cycles::{Multiplier, Timing};
+use sim::elf::Symbols;
+use sim::machine::{Call, Config, Machine, NoDevices};
+use sim::memory::MemoryMap;
+use sim::world::{Scene, World};
+use xtask::calib::Calibration;
+
+use super::flash;
+
+/// Light for the stages, seconds: 480 sweeps.
+const LIGHT_S: f64 = 4.0;
+/// Points of the room for the fix.
+const POINTS: usize = 400;
+/// Of those, for the references, which take a thousand times as long.
+const REFERENCE_POINTS: usize = 24;
+/// Noise of each angle, degrees: that of the paper's recording.
+const NOISE_DEG: f64 = 0.2;
+/// How far a reference may be from the fix, m: another estimator, same angles, noise included.
+const SAME_M: f64 = 0.15;
+
+/// What is counted, the function that is called, and what to call it in the table.
+pub(super) const STAGES: [(&str, &str, &str); 15] = [
+    ("empty", "stage_empty", "a call of nothing"),
+    ("pulse", "stage_pulse", "pulse, both edges"),
+    ("sweep_sync", "stage_sweep", "sweep, a flash"),
+    ("sweep_laser", "stage_sweep", "sweep, a laser"),
+    ("angle", "stage_angle", "angle"),
+    ("fix", "stage_fix", "fix"),
+    ("track", "stage_track", "track, believed"),
+    ("report", "stage_solve", "report, with the fix for its mismatch"),
+    ("frame", "stage_frame", "frame"),
+    ("classify_sync", "stage_classify", "first half at once, a flash"),
+    ("classify_laser", "stage_classify", "first half at once, a laser"),
+    ("solve", "stage_solve", "second half at once, a laser"),
+    ("svd_f32", "reference_svd_f32", "paper's 4x4 SVD, nalgebra f32"),
+    ("svd_f64", "reference_svd_f64", "paper's 4x4 SVD, nalgebra f64"),
+    ("normal_f32", "reference_normal_f32", "normal equations, nalgebra f32"),
+];
+
+/// The fewest, the most and all of something.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Count {
+    pub(super) least: u64,
+    pub(super) most: u64,
+    sum: u64,
+    pub(super) calls: u64,
+}
+
+impl Default for Count {
+    fn default() -> Self {
+        Self { least: u64::MAX, most: 0, sum: 0, calls: 0 }
+    }
+}
+
+impl Count {
+    pub(super) fn add(&mut self, value: u64) {
+        self.least = self.least.min(value);
+        self.most = self.most.max(value);
+        self.sum += value;
+        self.calls += 1;
+    }
+
+    pub(super) fn mean(&self) -> f64 {
+        if self.calls == 0 { 0.0 } else { self.sum as f64 / self.calls as f64 }
+    }
+}
+
+/// What one stage costs.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Cost {
+    pub(super) instructions: Count,
+    /// With a multiplier of one cycle, and of 32.
+    pub(super) cycles: [Count; 2],
+    /// The function, all it calls and all tables it names.
+    pub(super) flash: u32,
+    pub(super) stack: u32,
+}
+
+/// The bench program in a machine of its own.
+pub(super) struct Rig {
+    machine: Machine<NoDevices>,
+    symbols: Symbols,
+}
+
+impl Rig {
+    pub(super) fn new(elf: &[u8], multiplier: Multiplier) -> Result<Self> {
+        let config = Config { memory: MemoryMap::MICROBIT, timing: Timing::CortexM0(multiplier), ..Config::default() };
+        let mut machine = Machine::new(config, NoDevices);
+        let symbols = machine.load_elf(elf)?;
+        machine.initialise_variables();
+        let mut rig = Self { machine, symbols };
+        rig.call("reset", &[])?;
+        Ok(rig)
+    }
+
+    pub(super) fn call(&mut self, name: &str, arguments: &[u32]) -> Result<Call> {
+        let address = self.address(name)?;
+        self.machine.call(address, arguments).with_context(|| name.to_string())
+    }
+
+    fn address(&self, name: &str) -> Result<u32> {
+        self.symbols.address(name).with_context(|| format!("the bench program has no {name}"))
+    }
+
+    fn set_angles(&mut self, angles: [i32; 4]) -> Result<()> {
+        let address = self.address("ANGLES")?;
+        let bytes: Vec<u8> = angles.iter().flat_map(|angle| angle.to_le_bytes()).collect();
+        self.machine.write_bytes(address, &bytes).context("ANGLES is not in memory")
+    }
+
+    fn words(&self, name: &str) -> Result<[u32; 3]> {
+        let address = self.address(name)?;
+        let words = [0, 4, 8].map(|offset| self.machine.read_word(address + offset));
+        Ok([words[0], words[1], words[2]].map(Option::unwrap_or_default))
+    }
+}
+
+/// Counts every stage with both multipliers.
+pub(super) fn measure(elf: &[u8], calibration: &Calibration) -> Result<BTreeMap<&'static str, Cost>> {
+    let mut costs: BTreeMap<&'static str, Cost> = BTreeMap::new();
+    for (n, multiplier) in [Multiplier::Fast, Multiplier::Small].into_iter().enumerate() {
+        let mut rig = Rig::new(elf, multiplier)?;
+        let mut count = |name: &'static str, call: Call| {
+            let cost = costs.entry(name).or_default();
+            cost.cycles[n].add(call.cycles);
+            if n == 0 {
+                cost.instructions.add(call.instructions);
+                cost.stack = cost.stack.max(call.stack_bytes);
+            }
+        };
+        in_light(&mut rig, &mut count)?;
+        at_points(&mut rig, calibration, &mut count)?;
+        if n == 0 {
+            for (name, function, _) in STAGES {
+                let bytes = flash::reachable(&rig.machine.memory, &rig.symbols, function)?;
+                costs.entry(name).or_default().flash = bytes;
+            }
+        }
+    }
+    for (name, ..) in STAGES {
+        ensure!(costs.get(name).is_some_and(|cost| cost.instructions.calls > 0), "{name} was never reached");
+    }
+    Ok(costs)
+}
+
+/// Lets the light of the default room run through the stages, one pulse after another.
+fn in_light(rig: &mut Rig, count: &mut impl FnMut(&'static str, Call)) -> Result<()> {
+    let mut scene = Scene { length_s: LIGHT_S, ..Scene::default() };
+    scene.receiver.sync_dropout = 0.0;
+    scene.receiver.sweep_dropout = 0.0;
+    let edges: Vec<_> = World::new(&scene, 1).edges().map(|edge| edge.cycle as u32).collect();
+    for pulse in edges.chunks_exact(2) {
+        count("empty", rig.call("stage_empty", pulse)?);
+        let made = rig.call("stage_pulse", pulse)?;
+        count("pulse", made);
+        let light = rig.call("stage_sweep", &[])?;
+        let classified = rig.call("stage_classify", pulse)?;
+        match light.r0 {
+            1 => {
+                count("sweep_sync", light);
+                if classified.r0 == 0 {
+                    count("classify_sync", classified);
+                }
+            }
+            2 => {
+                count("sweep_laser", light);
+                count("classify_laser", classified);
+                second_half(rig, count)?;
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// What follows a laser.
+fn second_half(rig: &mut Rig, count: &mut impl FnMut(&'static str, Call)) -> Result<()> {
+    let angle = rig.call("stage_angle", &[])?;
+    if angle.r0 == 1 {
+        count("angle", angle);
+        let all_known = rig.call("pass_on", &[])?.r0 == 1;
+        let track = rig.call("stage_track", &[])?;
+        match track.r0 {
+            0 => count("track", track),
+            1 if all_known && rig.call("stage_fix", &[])?.r0 == 1 => {
+                rig.call("start_track", &[])?;
+            }
+            _ => {}
+        }
+    }
+    let solved = rig.call("stage_solve", &[])?;
+    if solved.r0 == 1 {
+        count("solve", solved);
+        rig.call("darken", &[])?;
+        let report = rig.call("stage_solve", &[])?;
+        ensure!(report.r0 == 1, "no report without light while there is a track");
+        count("report", report);
+        count("frame", rig.call("stage_frame", &[])?);
+    }
+    Ok(())
+}
+
+/// Solves for points all over the middle of the room.
+fn at_points(rig: &mut Rig, calibration: &Calibration, count: &mut impl FnMut(&'static str, Call)) -> Result<()> {
+    let Scene { path: sim::world::path::Path::HandHeld { low_m, high_m, .. }, .. } = Scene::default() else {
+        anyhow::bail!("the default path is by hand");
+    };
+    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    for n in 0..POINTS {
+        let point: [f64; 3] = std::array::from_fn(|k| low_m[k] + random.uniform() * (high_m[k] - low_m[k]));
+        let angles = angles(calibration, point, &mut random);
+        rig.set_angles(angles)?;
+        let fix = rig.call("stage_fix", &[])?;
+        ensure!(fix.r0 == 1, "no fix at {point:?}");
+        count("fix", fix);
+        if n >= REFERENCE_POINTS {
+            continue;
+        }
+        let position = rig.words("POSITION")?.map(|word| f64::from(word as i32) / 65536.0);
+        for name in ["svd_f32", "svd_f64", "normal_f32"] {
+            let call = rig.call(&format!("reference_{name}"), &[])?;
+            ensure!(call.r0 == 1, "{name} finds nothing at {point:?}");
+            count(name, call);
+            let found = rig.words("POINT")?.map(|word| f64::from(f32::from_bits(word)));
+            let apart = found.iter().zip(position).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+            ensure!(apart < SAME_M, "{name} finds {found:?}, the fix {position:?}");
+        }
+    }
+    Ok(())
+}
+
+/// The angles under which the stations see a point, with noise.
+fn angles(calibration: &Calibration, point: [f64; 3], random: &mut Random) -> [i32; 4] {
+    let mut angles = [0; 4];
+    for (station, angles) in calibration.stations.iter().zip(angles.chunks_exact_mut(2)) {
+        let [right, up, ahead] = station
+            .rotation
+            .map(|row| row.iter().zip(point.iter().zip(&station.position)).map(|(r, (p, s))| r * (p - s)).sum::<f64>());
+        for (angle, side) in angles.iter_mut().zip([right, up]) {
+            let noisy = side.atan2(ahead) + random.normal() * NOISE_DEG.to_radians();
+            *angle = (noisy / std::f64::consts::PI * f64::from(1 << 20)).round() as i32;
+        }
+    }
+    angles
+}
+
+/// Numbers that are the same on every computer.
+struct Random(u64);
+
+impl Random {
+    /// 0 .. 1.
+    fn uniform(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Twelve uniform ones have a variance of one.
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    }
+}

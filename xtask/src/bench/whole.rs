@@ -1,0 +1,227 @@
+//! The whole firmware in the light of the default room: load, latencies, sizes, and where the instructions go.
+//!
+//! What can go wrong: the mote stops, or sends no frame; both are errors.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroU32;
+
+use anyhow::{Context, Result, ensure};
+use lighthouse_mote::frame;
+use sim::core::cycles::{Multiplier, Timing};
+use sim::elf::Symbols;
+use sim::machine::{Config, Machine};
+use sim::mote::Mote;
+use sim::scum3c::{self, Scum3c};
+use sim::world::{EventKind, Scene, World};
+
+use super::stages::Count;
+
+/// The edge handlers' exception numbers: 16 + lines 12 and 13.
+const RISE: u8 = 28;
+const FALL: u8 = 29;
+/// Bring-up, lock and the start of the track are over, seconds.
+const SETTLED_S: f64 = 2.0;
+/// A frame this close to a laser's stamp reports that laser, seconds.
+const SAME_S: f64 = 50e-6;
+
+/// One run.
+pub(super) struct Run {
+    pub(super) hclk_hz: u32,
+    pub(super) multiplier: Multiplier,
+    /// Every flash and every sweep arrives, and nothing else.
+    pub(super) full_light: bool,
+    pub(super) seconds: f64,
+    /// Look at every instruction.
+    pub(super) profile: bool,
+}
+
+/// What came of it.
+#[derive(Debug, Default)]
+pub(super) struct Whole {
+    pub(super) load_percent: f64,
+    pub(super) sweeps: u64,
+    pub(super) frames: u64,
+    /// Rise, fall: entry and return not counted.
+    pub(super) edge_own_cycles: [u64; 2],
+    pub(super) edge_latency: [u64; 2],
+    pub(super) light_to_frame_ms: f64,
+    pub(super) light_to_frame_mean_ms: f64,
+    pub(super) stack: u32,
+    pub(super) profile: Profile,
+}
+
+/// Where the instructions went.
+#[derive(Debug, Default)]
+pub(super) struct Profile {
+    pub(super) instructions: u64,
+    /// By function.
+    pub(super) functions: BTreeMap<String, u64>,
+    /// Of one run of each edge handler: rise, fall.
+    pub(super) edges: [Count; 2],
+}
+
+/// Runs the firmware.
+pub(super) fn run(elf: &[u8], run: &Run) -> Result<Whole> {
+    let hz = f64::from(run.hclk_hz);
+    let end_s = SETTLED_S + run.seconds;
+    let mut scene = Scene { length_s: end_s, ..Scene::default() };
+    scene.clock.nominal_hz = hz;
+    scene.clock.error = 0.0;
+    if run.full_light {
+        scene.receiver.sync_dropout = 0.0;
+        scene.receiver.sweep_dropout = 0.0;
+        scene.interference.rate_per_s = 0.0;
+    }
+    let mut world = World::new(&scene, 1);
+    world.keep_log();
+    let mut mote = boot(elf, run)?;
+    let stack_top = mote.machine.core.registers.msp();
+    let (settled, end) = (world.cycle(SETTLED_S), world.cycle(end_s));
+    let edges: Vec<_> = world.edges().take_while(|edge| edge.cycle < end).collect();
+    for edge in edges {
+        mote.push_edge(edge.cycle, edge.level)?;
+    }
+    let lasers: Vec<u64> = world
+        .take_log()
+        .iter()
+        .filter(|event| event.seen && event.cycle >= settled && matches!(event.kind, EventKind::Sweep { .. }))
+        .map(|event| event.cycle)
+        .collect();
+
+    mote.run_until(settled)?;
+    mote.machine.core.statistics.clear();
+    drop(mote.take_frames());
+    let before = mote.load();
+    let profile = if run.profile { watch(&mut mote, end)? } else { Profile::default() };
+    let mut whole = Whole { profile, sweeps: lasers.len() as u64, ..Whole::default() };
+    mote.run_until(end)?;
+    let mut delays = Vec::new();
+    for sent in mote.take_frames().collect::<Vec<_>>() {
+        whole.frames += 1;
+        let (_, report) = frame::parse(&sent.bytes).ok().context("a frame that cannot be read")?;
+        let stamped = mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
+        let at = lasers.partition_point(|&laser| laser < stamped);
+        let nearest = lasers[at.saturating_sub(1)..].iter().take(2).min_by_key(|laser| laser.abs_diff(stamped));
+        if let Some(&laser) = nearest.filter(|laser| (laser.abs_diff(stamped) as f64) < SAME_S * hz) {
+            delays.push((sent.start_cycle - laser) as f64 / hz * 1e3);
+        }
+    }
+    ensure!(!delays.is_empty(), "no frame left the mote");
+    whole.light_to_frame_ms = delays.iter().copied().fold(0.0, f64::max);
+    whole.light_to_frame_mean_ms = delays.iter().sum::<f64>() / delays.len() as f64;
+    whole.load_percent = mote.load().percent_since(&before);
+    let records = [RISE, FALL].map(|number| *mote.machine.core.statistics.of(number));
+    whole.edge_own_cycles = records.map(|record| record.worst_own_cycles);
+    whole.edge_latency = records.map(|record| record.worst_latency);
+    whole.stack = stack_top - mote.machine.core.registers.lowest_main_sp();
+    Ok(whole)
+}
+
+fn boot(elf: &[u8], run: &Run) -> Result<Mote> {
+    let hclk_hz = NonZeroU32::new(run.hclk_hz).context("the clock stands still")?;
+    let devices = Scum3c::new(scum3c::Config { hclk_hz, ..scum3c::Config::default() });
+    let timing = Timing::CortexM0(run.multiplier);
+    let mut machine = Machine::new(Config { clock_hz: run.hclk_hz, timing, ..Config::default() }, devices);
+    let symbols = machine.load_elf(elf)?;
+    Ok(Mote { machine, symbols })
+}
+
+/// Runs to `end` one instruction at a time.
+fn watch(mote: &mut Mote, end: u64) -> Result<Profile> {
+    let mut profile = Profile::default();
+    let mut places: BTreeMap<u32, u64> = BTreeMap::new();
+    let mut handler = (0, 0);
+    while mote.machine.cycles() < end {
+        let (pc, number) = (mote.machine.core.registers.pc, mote.machine.core.registers.ipsr);
+        let before = mote.machine.instructions();
+        mote.run_until(mote.machine.cycles() + 1)?;
+        let ran = mote.machine.instructions() - before;
+        if ran > 0 {
+            *places.entry(pc).or_default() += ran;
+            profile.instructions += ran;
+        }
+        // Nothing preempts the edges' handlers, so each runs in one piece.
+        if number != handler.0 {
+            match handler.0 {
+                RISE => profile.edges[0].add(handler.1),
+                FALL => profile.edges[1].add(handler.1),
+                _ => {}
+            }
+            handler = (number, 0);
+        }
+        handler.1 += ran;
+    }
+    for (pc, ran) in places {
+        let name = mote.symbols.containing(pc).map_or_else(|| "?".to_string(), readable);
+        *profile.functions.entry(name).or_default() += ran;
+    }
+    Ok(profile)
+}
+
+/// A mangled name as a path: the numbered parts of `_ZN5first6second17h0123456789abcdefE`.
+fn readable(name: &str) -> String {
+    let name = name.split(".llvm").next().unwrap_or(name);
+    // The crate's own number ends with the first underline after `_R`.
+    let newer = name.strip_prefix("_R").and_then(|rest| rest.split_once('_')).map(|(_, rest)| rest);
+    let Some(mut rest) = name.strip_prefix("_ZN").or(newer) else { return name.to_string() };
+    let mut parts = Vec::new();
+    while let Some(digit) = rest.find(|c: char| c.is_ascii_digit()) {
+        rest = &rest[digit..];
+        let digits = rest.len() - rest.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+        let (number, after) = rest.split_at(digits);
+        match number.parse().ok().and_then(|length: usize| after.split_at_checked(length)) {
+            Some((part, after)) if !part.is_empty() => {
+                let hash = part.len() == 17 && part.starts_with('h');
+                if !hash {
+                    parts.push(part);
+                }
+                rest = after;
+            }
+            _ => rest = after,
+        }
+    }
+    if parts.is_empty() { name.to_string() } else { parts.join("::") }
+}
+
+/// Bytes of the image by what they are for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Size {
+    /// Vectors and code.
+    pub(super) text: u32,
+    /// Constants and tables.
+    pub(super) rodata: u32,
+    /// Initial values of variables.
+    pub(super) data: u32,
+    /// Variables that start-up clears.
+    pub(super) bss: u32,
+    /// Variables that it leaves alone, RTIC's among them.
+    pub(super) uninit: u32,
+}
+
+impl Size {
+    /// Reads it from the names the linker script gives.
+    pub(super) fn of(symbols: &Symbols) -> Result<Self> {
+        let at = |name: &str| symbols.address(name).with_context(|| format!("the image has no {name}"));
+        Ok(Self {
+            text: at("__etext")?,
+            rodata: at("__erodata")? - at("__srodata")?,
+            data: at("__edata")? - at("__sdata")?,
+            bss: at("__ebss")? - at("__sbss")?,
+            uninit: at("__euninit")? - at("__suninit")?,
+        })
+    }
+
+    pub(super) fn image(&self) -> u32 {
+        self.text + self.rodata + self.data
+    }
+
+    pub(super) fn ram(&self) -> u32 {
+        self.data + self.bss + self.uninit
+    }
+}
+
+/// The size of an image for the SCuM-3C.
+pub(super) fn size(elf: &[u8]) -> Result<Size> {
+    let mut machine = Machine::new(Config::default(), sim::machine::NoDevices);
+    Size::of(&machine.load_elf(elf)?)
+}

@@ -43,9 +43,9 @@ pub fn shared_view(stations: &[Station; 2], far: f64) -> Option<RoomBox> {
                     continue;
                 }
                 let seen = found.get_or_insert(RoomBox { min: point, max: point });
-                for axis in 0..3 {
-                    seen.min[axis] = seen.min[axis].min(point[axis]);
-                    seen.max[axis] = seen.max[axis].max(point[axis]);
+                for (axis, at) in point.into_iter().enumerate() {
+                    seen.min[axis] = seen.min[axis].min(at);
+                    seen.max[axis] = seen.max[axis].max(at);
                 }
             }
         }

@@ -88,7 +88,7 @@ struct Prepared {
 #[derive(Clone)]
 enum Source {
     World { world: Box<World>, sweeps: Vec<u64> },
-    Recording { recording: Recording, light: Light, next: usize, truth: Vec<Place> },
+    Recording { recording: Box<Recording>, light: Box<Light>, next: usize, truth: Vec<Place> },
 }
 
 /// Runs the firmware and writes down what came of it.
@@ -130,7 +130,11 @@ fn prepare(arguments: &Arguments) -> Result<Prepared> {
     let light = Light::rebuild(&recording, &LightConfig::of(&recording))?;
     println!("{}", light.findings);
     let truth = score::recorded_truth(&recording, &light);
-    Ok(Prepared { source: Source::Recording { recording, light, next: 0, truth }, calib, calibration })
+    Ok(Prepared {
+        source: Source::Recording { recording: Box::new(recording), light: Box::new(light), next: 0, truth },
+        calib,
+        calibration,
+    })
 }
 
 /// The default scene, with the stations and a path of the named room if there is one.

@@ -67,18 +67,18 @@ const BUDGETS: [Budget; 8] = [
     Budget {
         figure: "track.instructions.most",
         most: 600,
-        until_met: Some(736),
+        until_met: Some(730),
         what: "instructions of a tracker step",
     },
     Budget { figure: "edge.own_cycles", most: 60, until_met: None, what: "cycles of an edge handler of its own" },
     Budget {
         figure: "load_5mhz.milli_percent",
         most: 8000,
-        until_met: Some(20_279),
+        until_met: Some(12_271),
         what: "CPU load at 5 MHz, 1/1000 %",
     },
     Budget { figure: "light_to_frame_5mhz.us", most: 2000, until_met: None, what: "light to frame at 5 MHz, us" },
-    Budget { figure: "image.bytes", most: 24 * 1024, until_met: Some(35_952), what: "image, bytes" },
+    Budget { figure: "image.bytes", most: 24 * 1024, until_met: Some(27_680), what: "image, bytes" },
     Budget {
         figure: "ram_and_stack.bytes",
         most: 4 * 1024,

@@ -79,6 +79,7 @@ struct Rig {
     heading: track::Sweep,
     solution: Solution,
     sighting: Sighting,
+    lit: Sighting,
     report: Report,
     frame: [u8; frame::LEN],
     pulses: pulse::State,
@@ -132,6 +133,7 @@ pub extern "C" fn reset() {
         heading: track::Sweep { station: Station::A, axis: Axis::Azimuth, angle: Angle(0), elapsed: 0 },
         solution: Solution { position: [0; 3], mismatch: 0 },
         sighting: Sighting { seen: Seen::Lost, edges_lost: 0, pulses_lost: 0 },
+        lit: Sighting { seen: Seen::Lost, edges_lost: 0, pulses_lost: 0 },
         report: Report::default(),
         frame: [0; frame::LEN],
         pulses: pulse::State::default(),
@@ -337,9 +339,17 @@ pub extern "C" fn stage_solve(_: u32, _: u32) -> u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn darken() {
     let rig = rig();
+    rig.lit = rig.sighting;
     if let Seen::Sweep(sweep) = rig.sighting.seen {
         rig.sighting.seen = Seen::Nothing { at: sweep.at, half_turn: sweep.half_turn };
     }
+}
+
+/// Makes the sighting what it was.
+#[unsafe(no_mangle)]
+pub extern "C" fn relight() {
+    let rig = rig();
+    rig.sighting = rig.lit;
 }
 
 /// The report to the bytes on the air.
@@ -402,8 +412,8 @@ const WALK: [(&str, Stage, u32); 9] = [
 
 /// What the program itself does not call, so that the linker keeps it.
 #[used]
-static FOR_THE_HOST: (extern "C" fn() -> u32, extern "C" fn() -> u32, extern "C" fn(), [Stage; 2]) =
-    (pass_on, start_track, darken, [stage_classify, stage_solve]);
+static FOR_THE_HOST: ([extern "C" fn() -> u32; 2], [extern "C" fn(); 2], [Stage; 2]) =
+    ([pass_on, start_track], [darken, relight], [stage_classify, stage_solve]);
 
 /// Ticks that so many steps take.
 #[inline(never)]

@@ -114,9 +114,9 @@ pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
         calibration.provenance.iter().map(|(key, value)| format!("// {key}: {}\n", value.replace('\n', " "))).collect();
     Ok(format!(
         "{provenance}/// The room, as baked from `{file}`.
-pub static CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
+pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
     sweep: lighthouse_mote::sweep::Config::DEFAULT,
-    angle: lighthouse_mote::angle::Config {{ rotors: [{}, {}] }},
+    angle: lighthouse_mote::angle::Config::new([{}, {}]),
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},
     track: lighthouse_mote::track::Config::HAND_HELD,
     room: lighthouse_mote::track::Room {{ stations: [{}, {}] }},

@@ -27,8 +27,19 @@ pub struct Angle(pub i32);
 /// The factory terms of every rotor, `[station][axis]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Config {
-    /// Indexed by [`Station`] and [`Axis`].
-    pub rotors: [[Rotor; 2]; 2],
+    rotors: [[Rotor; 2]; 2],
+    /// No rotor has a term but its phase, which saves looking at each sweep's.
+    phase_only: bool,
+}
+
+impl Config {
+    /// `rotors` indexed by [`Station`] and [`Axis`].
+    #[must_use]
+    pub const fn new(rotors: [[Rotor; 2]; 2]) -> Self {
+        let [[az_a, el_a], [az_b, el_b]] = &rotors;
+        let phase_only = az_a.is_phase() && el_a.is_phase() && az_b.is_phase() && el_b.is_phase();
+        Self { rotors, phase_only }
+    }
 }
 
 /// The newest angle of every rotor, and how many sweeps were turned away.
@@ -68,13 +79,19 @@ pub fn step(config: &Config, state: &mut State, sweep: Sweep) -> Option<Bearing>
     // A share beyond 2^31 turns negative here, and stays outside the field of view.
     let measured = (sweep.half_turn.share(sweep.since_sync) as i32).wrapping_sub(1 << (HALF_TURN_BITS - 1));
     let (station, axis) = (sweep.station as usize, sweep.axis as usize);
-    let newest = &mut state.newest[station];
-    let ideal = factory::ideal(&config.rotors[station][axis], measured, newest[1 - axis]);
+    let rotor = &config.rotors[station][axis];
+    let ideal = if config.phase_only {
+        measured.wrapping_add(rotor.phase)
+    } else {
+        factory::ideal(rotor, measured, state.newest[station][1 - axis])
+    };
     if !(-FIELD_OF_VIEW..=FIELD_OF_VIEW).contains(&ideal) {
         state.outside = state.outside.wrapping_add(1);
         return None;
     }
-    newest[axis] = ideal;
+    if !config.phase_only {
+        state.newest[station][axis] = ideal;
+    }
     Some(Bearing {
         station: sweep.station,
         axis: sweep.axis,

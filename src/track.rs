@@ -236,8 +236,12 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
 }
 
 /// Takes one sweep.
-#[inline]
+///
+/// Not inlined, and where the state lies is hidden: the core reaches 32 words from a register, and the state fills
+/// them. Told its address, the compiler counts from elsewhere and pays an instruction for each access.
+#[inline(never)]
 pub fn step(config: &Config, room: &Room, state: &mut State, sweep: Sweep) -> Step {
+    let state = core::hint::black_box(state);
     let now = state.now.wrapping_add(u32::from(sweep.elapsed));
     state.now = now;
     let Some(tangent) = fix::tan(sweep.angle.0) else {

@@ -51,7 +51,7 @@ mod tests {
     #[test]
     fn the_factory_phase_is_added_to_its_own_rotor_only() {
         let phase = |phase| Rotor { phase, ..Rotor::default() };
-        let config = Config { rotors: [[phase(1), phase(20)], [phase(300), phase(-4_000)]] };
+        let config = Config::new([[phase(1), phase(20)], [phase(300), phase(-4_000)]]);
         let with = step(&config, &mut State::default(), sweep(90_000, 50_000));
         let without = step(&Config::default(), &mut State::default(), sweep(90_000, 50_000));
         let (Some(with), Some(without)) = (with, without) else { panic!("in view") };
@@ -92,7 +92,7 @@ mod tests {
     fn a_tilted_rotor_shows_nothing_where_the_other_looks_straight_ahead() {
         // tan(other) = 0 takes the tilt away; the other rotor's 45 degrees bring all of it back.
         let tilted = Rotor { tilt: 2_000, ..Rotor::default() };
-        let config = Config { rotors: [[Rotor::default(); 2], [Rotor::default(), tilted]] };
+        let config = Config::new([[Rotor::default(); 2], [Rotor::default(), tilted]]);
         let mut state = State::default();
         let azimuth = |since_sync| Sweep { axis: Axis::Azimuth, ..sweep(90_000, since_sync) };
         for (other, seen) in [(45_000, 0), (67_500, 2_000), (22_500, -2_000)] {

@@ -26,6 +26,13 @@ pub struct Rotor {
     pub gibbous_cos: i32,
 }
 
+impl Rotor {
+    /// Nothing but the constant term.
+    pub(super) const fn is_phase(&self) -> bool {
+        self.tilt == 0 && self.gibbous_sin == 0 && self.gibbous_cos == 0
+    }
+}
+
 /// Rounds of the iteration. Each shrinks the error by gibmag: 0.03^4 rad, 0.8 urad, is left.
 const ROUNDS: u32 = 3;
 /// Fraction bits of sines and cosines.
@@ -35,7 +42,7 @@ const Q: u32 = 14;
 #[inline]
 pub(super) fn ideal(rotor: &Rotor, measured: i32, other: i32) -> i32 {
     let straight = measured.wrapping_add(rotor.phase);
-    if rotor.tilt == 0 && rotor.gibbous_sin == 0 && rotor.gibbous_cos == 0 {
+    if rotor.is_phase() {
         return straight;
     }
     let tilted = if rotor.tilt == 0 {

@@ -22,5 +22,5 @@ pub(super) fn solve(c: &Fast, angles: [i32; 4]) -> Result<Solution, Reject> {
     if d3 < 0 {
         return Err(Reject::Geometry);
     }
-    walk(scene, &c.lines, [x1, y1, x2], r, a4, [d3, d4])
+    walk(scene, c.lines, [x1, y1, x2], r, a4, [d3, d4])
 }

@@ -131,8 +131,9 @@ pub struct Scene {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(C)]
 pub struct Fast {
-    /// The lines of the row divided by.
-    pub lines: Lines,
+    /// The lines of the row divided by. Elsewhere, so that the rest is small enough to be folded into the code wherever
+    /// the room is a constant.
+    pub lines: &'static Lines,
     /// What both forms share.
     pub scene: Scene,
     /// -v1, of the row divided by.
@@ -145,8 +146,7 @@ pub struct Fast {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(C)]
 pub struct General {
-    /// The lines when the first row divides, and when the second does. Elsewhere, so that a room of the fast form does
-    /// not pay for their flash.
+    /// The lines when the first row divides, and when the second does. Elsewhere, as in [`Fast`].
     pub lines: &'static [Lines; 2],
     /// What both forms share.
     pub scene: Scene,

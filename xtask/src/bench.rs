@@ -351,6 +351,12 @@ fn lines(figures: &[(String, u64)]) -> String {
     figures.iter().fold(String::new(), |text, (name, value)| text + &format!("{name} {value}\n"))
 }
 
+/// By how much a figure may differ from one computer to another: panics of other crates name their file, whose path
+/// begins with the user's home.
+fn slack(name: &str) -> u64 {
+    if name == "image.bytes" { 128 } else { 0 }
+}
+
 /// Whether anything grew.
 fn compare(known: &str, figures: &[(String, u64)]) -> Result<()> {
     let expected: BTreeMap<&str, u64> = known
@@ -362,7 +368,7 @@ fn compare(known: &str, figures: &[(String, u64)]) -> Result<()> {
     let mut shrunk = 0;
     for (name, is) in figures {
         match expected.get(name.as_str()) {
-            Some(was) if is > was => grown += &format!("\n  {name}: {was} -> {is}"),
+            Some(was) if *is > was + slack(name) => grown += &format!("\n  {name}: {was} -> {is}"),
             Some(was) => shrunk += u32::from(is < was),
             None => grown += &format!("\n  {name}: not there -> {is}"),
         }

@@ -3,13 +3,14 @@
 //! The bench program walks through its stages by itself and prints ticks of a timer; with 1024 ns for an instruction
 //! and 62.5 ns for a tick that is exact. The virtual mote calls the same functions with the same inputs.
 //!
-//! What can go wrong: QEMU is not there and cannot be installed; the count is then taken without a second one.
+//! What can go wrong: QEMU is not there and cannot be installed, or hangs. Both are errors.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use sim::core::cycles::Multiplier;
 
 use super::stages::Rig;
@@ -17,6 +18,9 @@ use crate::{qemu, setup};
 
 /// Ticks that an instruction takes.
 const TICKS: f64 = 1024.0 / 62.5;
+
+/// How long QEMU may take; half a second is enough.
+const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Mean instructions of a call, without what an empty one takes.
 #[derive(Debug, Clone, Copy)]
@@ -35,15 +39,7 @@ impl Counted {
 /// Lets both count; by the function's name.
 pub(super) fn judge(program: &Path, elf: &[u8]) -> Result<BTreeMap<String, Counted>> {
     setup::emulator()?;
-    let output = Command::new("timeout")
-        .args(["120", qemu::PROGRAM, "-machine", qemu::MACHINE, "-nographic", "-monitor", "none", "-serial", "none"])
-        .args(["-icount", "shift=10,sleep=off", "-semihosting-config", "enable=on,target=native", "-kernel"])
-        .arg(program)
-        .stdin(Stdio::null())
-        .output()
-        .with_context(|| format!("cannot start {}", qemu::PROGRAM))?;
-    ensure!(output.status.success(), "the bench program in QEMU: {}", output.status);
-    let printed = String::from_utf8(output.stdout).context("what the bench program prints")?;
+    let printed = run_in_qemu(program)?;
     let mut counted = BTreeMap::new();
     for line in printed.lines() {
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -54,6 +50,30 @@ pub(super) fn judge(program: &Path, elf: &[u8]) -> Result<BTreeMap<String, Count
     }
     ensure!(!counted.is_empty(), "the bench program printed nothing in QEMU");
     Ok(counted)
+}
+
+/// What the program prints in QEMU; a few hundred bytes, which any pipe holds.
+fn run_in_qemu(program: &Path) -> Result<String> {
+    let mut qemu = Command::new(qemu::PROGRAM)
+        .args(["-machine", qemu::MACHINE, "-nographic", "-monitor", "none", "-serial", "none"])
+        .args(["-icount", "shift=10,sleep=off", "-semihosting-config", "enable=on,target=native", "-kernel"])
+        .arg(program)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .with_context(|| format!("cannot start {}", qemu::PROGRAM))?;
+    let began = Instant::now();
+    while qemu.try_wait()?.is_none() {
+        if began.elapsed() > PATIENCE {
+            qemu.kill()?;
+            qemu.wait()?;
+            bail!("the bench program does not end in QEMU");
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let output = qemu.wait_with_output()?;
+    ensure!(output.status.success(), "the bench program in QEMU: {}", output.status);
+    String::from_utf8(output.stdout).context("what the bench program prints")
 }
 
 /// The same walk in the virtual mote.

@@ -32,7 +32,7 @@ pub struct Held {
 /// The stations share no view, or the solver cannot hold the room.
 pub fn bake(file: &str, calibration: &Calibration) -> Result<Held, Error> {
     let stations = &calibration.stations;
-    let refuse = |field: &str, what: String| Error { file: file.to_string(), line: 1, field: field.to_string(), what };
+    let refuse = |field: &str, what: String| Error { file: file.to_string(), line: 0, field: field.to_string(), what };
     let hold = |volume: RoomBox| {
         let RoomBox { min, max } = volume;
         let pose = |station: Station| quantise::Station { rotation: station.rotation, position: station.position };

@@ -440,6 +440,11 @@ impl Line {
     }
 }
 
+/// As `fixed`, in 16 bits. What does not fit is cut: the error that this makes is measured like any other.
+fn short(value: f64, q: i32) -> i16 {
+    fixed(value, q).clamp(i16::MIN.into(), i16::MAX.into()) as i16
+}
+
 /// W and E over the epipolar lines, by local regression.
 fn weights(seen: &[Seen], line: &Line, gate: f64, q_aside: i32) -> [Weight; WEIGHTS] {
     let &Line { low, width, .. } = line;
@@ -489,10 +494,10 @@ fn weights(seen: &[Seen], line: &Line, gate: f64, q_aside: i32) -> [Weight; WEIG
         }
         let [one, x, m] = solve(a, b);
         *entry = Weight {
-            x: fixed(x, 14),
-            m: fixed(m, 14),
+            x: short(x, 14),
+            m: short(m, 14),
             one: fixed(one - m * middle, 29) + (1 << 13),
-            aside: aside.map(|e| fixed(e, q_aside)),
+            aside: aside.map(|e| short(e, q_aside)),
         };
     }
     table
@@ -505,9 +510,9 @@ fn weights_error(seen: &[&Seen], line: &Line, table: &[Weight; WEIGHTS], q_aside
         let Some(weight) = table.get(entry as usize) else {
             return 1.0;
         };
-        let w = unfixed(weight.x, 14) * s.x2 + unfixed(weight.m, 14) * s.m;
+        let w = unfixed(weight.x.into(), 14) * s.x2 + unfixed(weight.m.into(), 14) * s.m;
         let along = (w + unfixed(weight.one, 29) - s.w) / s.a3;
-        let [x, y] = [0, 1].map(|k| unfixed(weight.aside[k], q_aside) - s.aside[k]);
+        let [x, y] = [0, 1].map(|k| unfixed(weight.aside[k].into(), q_aside) - s.aside[k]);
         let error = [x - along * s.u[0], y - along * s.u[1], along];
         dot(error, error) * s.mismatch.powi(2)
     };

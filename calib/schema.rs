@@ -94,7 +94,7 @@ impl Default for Mote {
 pub struct Error {
     /// The file as it was named.
     pub file: String,
-    /// Counted from 1.
+    /// Counted from 1; 0 where it is about the whole file.
     pub line: usize,
     /// The dotted path of the field; empty when the file does not parse at all.
     pub field: String,
@@ -104,7 +104,11 @@ pub struct Error {
 
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}: ", self.file, self.line)?;
+        f.write_str(&self.file)?;
+        if self.line > 0 {
+            write!(f, ":{}", self.line)?;
+        }
+        f.write_str(": ")?;
         if !self.field.is_empty() {
             write!(f, "{}: ", self.field)?;
         }

@@ -200,7 +200,7 @@ impl Solver {
             angle: bearing.angle,
             elapsed: saturated(elapsed),
         };
-        match track::step(&config.track, &config.room, &mut self.track, sweep) {
+        match track::step(&config.track, &config.room, &mut self.track, &sweep) {
             track::Step::Believed => {}
             track::Step::Refused | track::Step::OutOfView => self.disbelieved = self.disbelieved.wrapping_add(1),
             track::Step::Idle | track::Step::Lost => {

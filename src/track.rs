@@ -155,15 +155,15 @@ pub struct Sweep {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     /// It moved the estimate.
-    Believed,
+    Believed = 0,
     /// The angle lies outside the rotor's field of view of +-60 deg: a reflection.
-    OutOfView,
+    OutOfView = 1,
     /// There is no track; [`start`] makes one.
-    Idle,
+    Idle = 2,
     /// Too far from where the track is; the track goes on without it.
-    Refused,
+    Refused = 3,
     /// The track ended, by age, doubt or uncertainty.
-    Lost,
+    Lost = 4,
 }
 
 /// How much is known.
@@ -240,7 +240,7 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
 /// Not inlined, and where the state lies is hidden: the core reaches 32 words from a register, and the state fills
 /// them. Told its address, the compiler counts from elsewhere and pays an instruction for each access.
 #[inline(never)]
-pub fn step(config: &Config, room: &Room, state: &mut State, sweep: Sweep) -> Step {
+pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> Step {
     let state = core::hint::black_box(state);
     let now = state.now.wrapping_add(u32::from(sweep.elapsed));
     state.now = now;

@@ -58,13 +58,13 @@ pub struct Linear {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Weight {
     /// Of x2 in W, Q14.
-    pub x: i32,
+    pub x: i16,
     /// Of m in W, Q14.
-    pub m: i32,
+    pub m: i16,
     /// The constant in W, Q29.
     pub one: i32,
     /// E.
-    pub aside: [i32; 2],
+    pub aside: [i16; 2],
 }
 
 /// A row of -R21: v1 or v2, negative.

@@ -95,11 +95,11 @@ pub(super) fn walk(
     let line = sum([m_fine, mul(mismatch, lines.slant)]) >> lines.shift;
     let entry = line.wrapping_sub(lines.first) as u32 as usize;
     let weight = lines.weights.get(entry).ok_or(Reject::Geometry)?;
-    let w = sum([mul(weight.x, x2), mul(weight.m, m), weight.one]) >> 14;
+    let w = sum([mul(weight.x.into(), x2), mul(weight.m.into(), m), weight.one]) >> 14;
 
     let z = (mul(d3.wrapping_sub(mul(mismatch, w)) >> 15, r) as u32 >> scene.z_shift) as i32;
-    let x = sum([mul(x1, z), mul(mismatch, weight.aside[0])]) >> scene.side_shift;
-    let y = sum([mul(y1, z), mul(mismatch, weight.aside[1])]) >> scene.side_shift;
+    let x = sum([mul(x1, z), mul(mismatch, weight.aside[0].into())]) >> scene.side_shift;
+    let y = sum([mul(y1, z), mul(mismatch, weight.aside[1].into())]) >> scene.side_shift;
     let [wx, wy, wz] = &scene.world;
     let position = [
         sum([linear(wx, x, y), mul(scene.world_z[0], z)]) >> scene.position_shift,

@@ -44,7 +44,8 @@ impl HalfTurn {
         Span((self.ticks_q8 + 128) >> 8)
     }
 
-    /// `span` as a share of the half turn, 2^20 units per half turn, rounded; saturates at 4095 half turns.
+    /// `span` as a share of the half turn, 2^20 units per half turn, to two units up to four half
+    /// turns and `MAX_TICKS`, to one part in 8192 beyond; saturates at 4095 half turns.
     #[must_use]
     #[inline]
     pub const fn share(self, span: Span) -> u32 {
@@ -59,11 +60,18 @@ impl HalfTurn {
         self.long_share(span)
     }
 
+    /// The same for longer spans, to one part in 8192: they are ages, not angles.
     #[cold]
     #[inline(never)]
     const fn long_share(self, span: Span) -> u32 {
-        let share = (span.0 as u64 * self.reciprocal_q52 as u64 + (1 << 23)) >> 24;
-        if share > u32::MAX as u64 { u32::MAX } else { share as u32 }
+        let mut short = span.0;
+        let mut halvings = 0;
+        while short > Self::MAX_TICKS || short >> 8 > self.ticks_q8 >> 14 {
+            short >>= 1;
+            halvings += 1;
+        }
+        let share = self.share(Span(short));
+        if share > u32::MAX >> halvings { u32::MAX } else { share << halvings }
     }
 }
 
@@ -100,7 +108,9 @@ mod tests {
             for span in [span, span >> 10, span % (ticks_q8 >> 8)] {
                 let exact = f64::from(span) * 256.0 / f64::from(ticks_q8) * f64::from(1 << HALF_TURN_BITS);
                 let share = f64::from(half_turn.share(Span(span)));
-                let bound = 1.6 + exact * 2.0 / f64::from(half_turn.reciprocal_q52);
+                let is_short = exact < f64::from(4 << HALF_TURN_BITS) && span <= HalfTurn::MAX_TICKS;
+                let long = if is_short { 0.0 } else { exact / 8192.0 };
+                let bound = 2.0 + exact * 2.0 / f64::from(half_turn.reciprocal_q52) + long;
                 prop_assert!((share - exact.min(f64::from(u32::MAX))).abs() <= bound, "{} {}", share, exact);
             }
         }

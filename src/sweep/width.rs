@@ -46,8 +46,9 @@ pub(super) struct Units {
 impl Units {
     pub(super) fn of(half_turn: HalfTurn) -> Self {
         // 2^20 / 800 = 1310.72, the reciprocal of the steps in a half turn.
-        const STEP_Q20: u64 = (1 << 20) / WIDTH_STEPS_PER_HALF_TURN as u64;
-        let half_step = ((u64::from(half_turn.ticks_q8()) * STEP_Q20) >> (8 + 20 + 1)) as u32;
+        const STEP_Q20: u32 = (1 << 20) / WIDTH_STEPS_PER_HALF_TURN;
+        // At most 2^20 ticks by 2^11.
+        let half_step = (half_turn.span().0 * STEP_Q20) >> (20 + 1);
         Self {
             half_turn: half_turn.span(),
             width_step: 2 * half_step,

@@ -116,7 +116,7 @@ impl<'a> Tracker<'a> {
             &CONFIG,
             &self.room,
             &mut self.state,
-            Sweep {
+            &Sweep {
                 station: [Station::A, Station::B][sighting.station],
                 axis: [Axis::Azimuth, Axis::Elevation][sighting.axis],
                 angle: Angle(units(sighting.angle)),
@@ -393,7 +393,7 @@ fn a_sweep_outside_the_field_of_view_changes_nothing() {
     let before = report(&CONFIG, &tracker.state, 0);
     for angle in [units(1.05), units(-1.05), i32::MAX, i32::MIN] {
         let sweep = Sweep { station: Station::A, axis: Axis::Azimuth, angle: Angle(angle), elapsed: 0 };
-        assert_eq!(step(&CONFIG, &tracker.room, &mut tracker.state, sweep), Step::OutOfView);
+        assert_eq!(step(&CONFIG, &tracker.room, &mut tracker.state, &sweep), Step::OutOfView);
     }
     assert_eq!(report(&CONFIG, &tracker.state, 0), before);
 }
@@ -452,7 +452,7 @@ proptest! {
         let stations = two_stations();
         let mut tracker = Tracker::new(&stations);
         for (sweep, position, begin) in garbage {
-            step(&CONFIG, &tracker.room, &mut tracker.state, sweep);
+            step(&CONFIG, &tracker.room, &mut tracker.state, &sweep);
             if begin {
                 start(&CONFIG, &tracker.room, &mut tracker.state, position.map(|axis| axis >> 12), 0);
             }
@@ -490,7 +490,7 @@ proptest! {
         let mut state = State::default();
         for sweep in sweeps {
             start(&config, &room, &mut state, position, 0);
-            step(&config, &room, &mut state, sweep);
+            step(&config, &room, &mut state, &sweep);
             let _ = report(&config, &state, sweep.elapsed.into());
         }
     }

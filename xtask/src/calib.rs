@@ -11,5 +11,5 @@ pub mod schema;
 #[path = "../../calib/volume.rs"]
 pub mod volume;
 
-use lighthouse_mote::fix as solver;
+pub use lighthouse_mote::fix as solver;
 pub use schema::Calibration;

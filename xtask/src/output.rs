@@ -130,7 +130,7 @@ pub fn write(dir: &Path, run: &Run) -> Result<()> {
 }
 
 /// Refuses a place that holds anything but an earlier run.
-fn ensure_replaceable(dir: &Path) -> Result<()> {
+pub fn ensure_replaceable(dir: &Path) -> Result<()> {
     if !dir.exists() {
         return Ok(());
     }

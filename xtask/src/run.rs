@@ -93,6 +93,8 @@ enum Source {
 
 /// Runs the firmware and writes down what came of it.
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    let out = root().join(&arguments.out);
+    output::ensure_replaceable(&out)?;
     let prepared = prepare(arguments)?;
     let plain = match &prepared.source {
         Source::World { .. } => None,
@@ -103,7 +105,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(plain) = plain {
         run.others.insert(0, ("each fix as it is".to_string(), plain.score));
     }
-    let out = root().join(&arguments.out);
     if let Some(folder) = out.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }

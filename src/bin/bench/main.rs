@@ -301,11 +301,7 @@ pub extern "C" fn start_track() -> u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn stage_track(_: u32, _: u32) -> u32 {
     let rig = rig();
-    match track::step(&CONFIG.track, &CONFIG.room, &mut rig.track, rig.heading) {
-        track::Step::Believed => 0,
-        track::Step::Idle | track::Step::Lost => 1,
-        track::Step::Refused | track::Step::OutOfView => 2,
-    }
+    track::step(&CONFIG.track, &CONFIG.room, &mut rig.track, &rig.heading) as u32
 }
 
 /// The firmware's first half at once: both edges of a pulse to a sighting; 1 when there is one.

@@ -56,19 +56,24 @@ impl Classify {
     }
 
     fn pass_on(&mut self, sighting: Sighting) {
-        if let Some(owed) = self.owed.take() {
-            self.owed = self.sightings.enqueue(owed).err();
+        // What is owed comes first, or the news would be of the wrong angles.
+        if let Some(owed) = self.owed
+            && self.sent(&owed)
+        {
+            self.owed = None;
         }
-        let refused = match self.owed {
-            Some(_) => Some(sighting),
-            None => self.sightings.enqueue(sighting).err(),
-        };
-        if let Some(refused) = refused {
+        if self.owed.is_some() || !self.sent(&sighting) {
             LOST.store(LOST.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
-            if refused.seen == Seen::Lost {
-                self.owed = Some(refused);
+            if sighting.seen == Seen::Lost {
+                self.owed = Some(sighting);
             }
         }
+    }
+
+    /// Whether there was room. Not inlined: it is large, and called twice.
+    #[inline(never)]
+    fn sent(&mut self, sighting: &Sighting) -> bool {
+        self.sightings.enqueue(*sighting).is_ok()
     }
 }
 

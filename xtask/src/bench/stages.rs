@@ -194,12 +194,13 @@ fn second_half(rig: &mut Rig, lasers: u32, count: &mut impl FnMut(&'static str, 
         count("angle", angle);
         let all_known = rig.call("pass_on", &[])?.r0 == 1;
         let track = rig.call("stage_track", &[])?;
+        // As in `track::Step`: 0 believed, 2 idle, 4 lost.
         match track.r0 {
             0 => {
                 count("track", track);
                 believed = true;
             }
-            1 if all_known && rig.call("stage_fix", &[])?.r0 == 1 => {
+            2 | 4 if all_known && rig.call("stage_fix", &[])?.r0 == 1 => {
                 rig.call("start_track", &[])?;
             }
             _ => {}

@@ -1,0 +1,118 @@
+//! Calibration files: what is wrong is said with file, line, field and value.
+
+use xtask::calib::schema::{self, Estimate, Mote};
+use xtask::calib::{firmware, solver};
+
+const GOOD: &str = include_str!("../../calib/default.toml");
+
+fn complaint(text: &str) -> String {
+    schema::read("room.toml", text).expect_err("a bad file").to_string()
+}
+
+/// The default file with one thing changed.
+fn with(from: &str, to: &str) -> String {
+    assert!(GOOD.contains(from), "{from}");
+    GOOD.replacen(from, to, 1)
+}
+
+fn line_of(needle: &str) -> usize {
+    1 + GOOD.lines().position(|line| line.contains(needle)).expect("a line of the file")
+}
+
+#[test]
+fn the_default_room_reads_and_takes_the_fast_form() {
+    let calibration = schema::read("room.toml", GOOD).expect("a good file");
+    let held = firmware::bake("room.toml", &calibration).expect("a room that can be held");
+    assert!(matches!(held.baked.calib, solver::Calib::Fast(_)));
+    assert!(held.baked.measured.rms_mm < 0.1 && held.baked.measured.max_mm < 0.6, "{:?}", held.baked.measured);
+}
+
+#[test]
+fn a_text_where_a_number_belongs_names_line_field_and_value() {
+    let line = line_of("phase = 0.046615");
+    assert_eq!(
+        complaint(&with("phase = 0.046615", "phase = \"much\"")),
+        format!("room.toml:{line}: station.A.factory.az.phase: \"much\" is no number")
+    );
+}
+
+#[test]
+fn a_matrix_that_is_no_rotation_is_refused() {
+    let said = complaint(&with("0.080301131", "0.8"));
+    assert!(said.contains("station.A.rotation: is no rotation"), "{said}");
+}
+
+#[test]
+fn a_mirror_image_is_refused() {
+    let said =
+        complaint(&with("[-0.005204195, -0.039386376, -0.999210503]", "[0.005204195, 0.039386376, 0.999210503]"));
+    assert!(said.contains("mirror image"), "{said}");
+}
+
+#[test]
+fn a_key_that_nobody_knows_is_refused() {
+    let line = line_of("pan = ");
+    assert_eq!(
+        complaint(&with("pan = ", "pam = ")),
+        format!(
+            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, max_angle_age_ms"
+        )
+    );
+}
+
+#[test]
+fn millimetres_are_not_taken_for_metres() {
+    let said = complaint(&with("position = [0.259609,", "position = [259.609,"));
+    assert!(said.contains("station.A.position: 259.609 m is beyond 100 m"), "{said}");
+}
+
+#[test]
+fn numbers_that_no_mote_holds_are_refused() {
+    for (from, to, says) in [
+        ("id = 1", "id = 65535", "mote.id: 65535"),
+        ("report_every_half_turns = 4", "report_every_half_turns = 0", "mote.report_every_half_turns: 0"),
+        ("max_angle_age_ms = 100", "max_angle_age_ms = nan", "mote.max_angle_age_ms: nan is not finite"),
+        ("estimate = \"track\"", "estimate = \"guess\"", "mote.estimate: \"guess\""),
+        ("max = [1.54, 1.99, 1.10]", "max = [1.54, 1.99, -2.0]", "room.max: -2 is not above"),
+        ("[station.B]", "[station.C]", "station.C: unknown"),
+        ("phase = 0.046615", "phase = 4.6615", "phase: 4.6615 rad is beyond"),
+    ] {
+        let said = complaint(&with(from, to));
+        assert!(said.contains(says), "{to}: {said}");
+    }
+}
+
+#[test]
+fn a_file_that_is_no_toml_names_the_line() {
+    let said = complaint("[station\n");
+    assert!(said.starts_with("room.toml:1: "), "{said}");
+}
+
+#[test]
+fn a_room_around_a_station_is_refused_with_the_number() {
+    let text = with("max = [1.54, 1.99, 1.10]", "max = [1.54, 1.99, 3.0]");
+    let calibration = schema::read("room.toml", &text).expect("a file that reads");
+    let said = firmware::bake("room.toml", &calibration).expect_err("a station inside").to_string();
+    assert_eq!(
+        said,
+        "room.toml: room: cannot be represented: a station stands inside the volume; its x in metres: 0.259609"
+    );
+}
+
+#[test]
+fn stations_that_look_away_from_each_other_light_nothing() {
+    let away = "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nposition = [0, 0, 1]\n";
+    let back = "rotation = [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]\nposition = [0, 0, -1]\n";
+    let text = format!("[station.A]\n{away}[station.B]\n{back}");
+    let calibration = schema::read("room.toml", &text).expect("a file that reads");
+    let said = firmware::bake("room.toml", &calibration).expect_err("no common light").to_string();
+    assert!(said.contains("light no common point"), "{said}");
+}
+
+#[test]
+fn a_mote_s_own_settings_go_before_those_of_the_room() {
+    let mote = Mote::default().with("own", "id = 7\nestimate = \"fix\"").expect("good lines");
+    assert_eq!((mote.id, mote.estimate, mote.pan), (7, Estimate::Fix, Mote::default().pan));
+    let said = Mote::default().with("own", "id = 7\nidd = 8").expect_err("a typo").to_string();
+    assert!(said.starts_with("own:2: idd: unknown"), "{said}");
+}

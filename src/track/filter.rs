@@ -207,14 +207,24 @@ impl Estimate {
 
     /// Position (Q16 m), velocity (Q16 m/s) and variances of the position (Q32 m^2) at `now`, in the dark.
     pub(super) fn after(&self, config: &Config, now: u32) -> ([i32; 3], [i32; 3], [i32; 3]) {
+        if now == self.at {
+            // Right at a sweep there is nothing to carry: only what its plane told is still to be taken.
+            let [xx, _, _, yy, _, zz] = self.pp;
+            let [x, y, z, ..] = self.told;
+            return self.as_reported([known(xx, x, x), known(yy, y, y), known(zz, z, z)]);
+        }
         let mut ahead = self.clone();
         ahead.predict(config, now);
         let [xx, _, _, yy, _, zz] = ahead.pp;
+        ahead.as_reported([xx, yy, zz])
+    }
+
+    fn as_reported(&self, variances: [i32; 3]) -> ([i32; 3], [i32; 3], [i32; 3]) {
         (
-            ahead.position.map(|axis| axis >> 8),
+            self.position.map(|axis| axis >> 8),
             // 120 half turns a second.
-            ahead.velocity.map(|axis| axis.wrapping_mul(120) >> 6),
-            [xx.max(0), yy.max(0), zz.max(0)],
+            self.velocity.map(|axis| axis.wrapping_mul(120) >> 6),
+            variances.map(|variance| variance.max(0)),
         )
     }
 }

@@ -28,7 +28,9 @@ extern crate self as lighthouse_mote;
 #[path = "../tests"]
 mod on_target {
     mod angle;
+    mod chain;
     pub(crate) mod cycle;
+    mod fix;
     mod frame;
     mod pulse;
     mod sweep;

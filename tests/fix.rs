@@ -35,8 +35,12 @@ fn is_near(found: [i32; 3], truth: [i32; 3]) -> bool {
 
 fn bearing(rotor: usize, angle: i32, at: u32) -> Bearing {
     let Some(half_turn) = HalfTurn::from_ticks_q8(HALF_TURN_TICKS << 8) else { panic!("in range") };
-    let station = if rotor < 2 { Station::A } else { Station::B };
-    let axis = if rotor % 2 == 0 { Axis::Azimuth } else { Axis::Elevation };
+    let (station, axis) = match rotor {
+        0 => (Station::A, Axis::Azimuth),
+        1 => (Station::A, Axis::Elevation),
+        2 => (Station::B, Axis::Azimuth),
+        _ => (Station::B, Axis::Elevation),
+    };
     Bearing { station, axis, angle: Angle(angle), at: Ticks(at), half_turn }
 }
 
@@ -92,8 +96,8 @@ mod tests {
         let (_, angles) = POINTS[1];
         for (late, fresh) in [(12 * HALF_TURN_TICKS, true), (12 * HALF_TURN_TICKS + 1, false)] {
             let mut state = State::default();
-            for rotor in 0..3 {
-                assert!(step(&config(), &mut state, bearing(rotor, angles[rotor], 0)).is_none());
+            for (rotor, angle) in angles.into_iter().enumerate().take(3) {
+                assert!(step(&config(), &mut state, bearing(rotor, angle, 0)).is_none());
             }
             assert_eq!(step(&config(), &mut state, bearing(3, angles[3], late)).is_some(), fresh);
         }
@@ -103,8 +107,8 @@ mod tests {
     fn what_was_forgotten_must_be_seen_again() {
         let (_, angles) = POINTS[2];
         let mut state = State::default();
-        for rotor in 0..4 {
-            step(&config(), &mut state, bearing(rotor, angles[rotor], 0));
+        for (rotor, angle) in angles.into_iter().enumerate() {
+            step(&config(), &mut state, bearing(rotor, angle, 0));
         }
         state.forget();
         assert!(step(&config(), &mut state, bearing(0, angles[0], 1)).is_none());

@@ -4,6 +4,8 @@
 //! B's, 3,000 for the shortest flash and 500 per width step. [`Cycle`] stamps it with the counter of a mote whose
 //! clock, start and angles are free.
 
+#![allow(dead_code, reason = "each test takes the part it needs")]
+
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::sweep::{Axis, Station, Sync};
 use lighthouse_mote::time::{Span, Ticks};

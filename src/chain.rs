@@ -218,6 +218,9 @@ impl Solver {
             return None;
         }
         let fix = fix::newest(&config.fix, &mut self.fix, at, half_turn);
+        if let Some(fix) = &fix {
+            track::start(&config.track, &config.room, &mut self.track, fix.position, fix.mismatch);
+        }
         Some(Report {
             position: track.position.map(I16F16::from_bits),
             // Q16 to Q10.

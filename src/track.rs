@@ -210,16 +210,25 @@ pub struct State {
     seen: [u32; 2],
     /// Per rotor, azimuth and elevation of A, then of B: refused in a row.
     refused: [u32; 4],
+    /// Fixes in a row that were metres away.
+    elsewhere: u32,
 }
 
 /// Begins a track at a fix: `position` in Q16 m, `mismatch` of its rays in Q16 m. True when it did.
 ///
-/// Does nothing while a track is running, when the mismatch is too large to trust the fix, or where a
+/// Does nothing while a track is running, unless fix after fix is metres away: innovations are formed modulo 4 m, so a track that
+/// many metres off may go on unrefused, and only a fix can tell. Does nothing either when the mismatch is too large to trust the fix, or where a
 /// station's light does not reach.
 pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3], mismatch: i32) -> bool {
     let lit = room.stations.iter().all(|station| station.lights(position));
-    if state.tracking || !lit || mismatch.unsigned_abs() > config.start_mismatch.unsigned_abs() {
+    if !lit || mismatch.unsigned_abs() > config.start_mismatch.unsigned_abs() {
         return false;
+    }
+    if state.tracking {
+        state.elsewhere = if state.estimate.is_elsewhere(position) { state.elsewhere.saturating_add(1) } else { 0 };
+        if state.elsewhere < config.doubt_count {
+            return false;
+        }
     }
     let now = state.now;
     *state = State {
@@ -230,6 +239,7 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
         believed: now,
         seen: [now; 2],
         refused: [0; 4],
+        elsewhere: 0,
         estimate: filter::Estimate::at(position, config.start_position, config.start_velocity, now),
     };
     true

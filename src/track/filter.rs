@@ -219,6 +219,12 @@ impl Estimate {
         ahead.as_reported([xx, yy, zz])
     }
 
+    /// Whether `position`, Q16 m, is more than 2 m away along an axis.
+    pub(super) fn is_elsewhere(&self, position: [i32; 3]) -> bool {
+        let pairs = self.position.iter().zip(position);
+        pairs.into_iter().any(|(own, other)| (own >> 8).abs_diff(other) > 2 << 16)
+    }
+
     fn as_reported(&self, variances: [i32; 3]) -> ([i32; 3], [i32; 3], [i32; 3]) {
         (
             self.position.map(|axis| axis >> 8),

@@ -6,6 +6,7 @@
 use anyhow::Result;
 
 use crate::bench::{self, bench};
+use crate::fuzz::{self, fuzz};
 use crate::process::{cargo, run};
 use crate::setup;
 use crate::test::{Tally, run_all};
@@ -24,7 +25,7 @@ const BOARDS: [Board; 3] = [
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
 
-/// Runs formatting, lints, tests and the bench, and closes with how many passed.
+/// Runs formatting, lints, tests, the bench and the fuzzer, and closes with how many passed.
 pub(crate) fn ci() -> Result<()> {
     let mut tally = Tally::default();
     tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
@@ -36,6 +37,7 @@ pub(crate) fn ci() -> Result<()> {
     }
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
+    tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));
     tally.close()
 }
 

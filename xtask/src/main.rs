@@ -14,6 +14,7 @@ mod bake;
 mod bench;
 mod ci;
 mod firmware;
+mod fuzz;
 mod process;
 mod qemu;
 mod run;
@@ -53,6 +54,10 @@ enum Verb {
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
     /// system's package manager.
     Test,
+    /// Let loose on the firmware's code what nobody thought of: maimed light through the whole path, bytes as frames
+    ///
+    /// A minute each. What crashes is kept under target/fuzz, with what to type to run it again.
+    Fuzz(fuzz::Arguments),
     /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test, every cost
     Ci,
     /// Run one program on the emulated Cortex-M0 and print its log; cargo calls this for `cargo test --target ...`
@@ -72,6 +77,7 @@ fn main() -> ExitCode {
         Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
+        Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
         Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),
     };

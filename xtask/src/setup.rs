@@ -63,6 +63,15 @@ pub(crate) fn emulator() -> Result<()> {
     Ok(())
 }
 
+/// Makes sure that there is a C++ compiler, which libFuzzer is written for.
+pub(crate) fn cpp_compiler() -> Result<()> {
+    if runs(Command::new("c++").arg("--version")) {
+        return Ok(());
+    }
+    println!("There is no C++ compiler: installing the package g++ through apt-get.");
+    install("g++").map_err(|error| anyhow!("no C++ compiler could be installed ({error:#}); install one and try again"))
+}
+
 fn has_board() -> bool {
     let asked = Command::new(qemu::PROGRAM).args(["-machine", "help"]).stdin(Stdio::null()).output();
     asked.is_ok_and(|asked| String::from_utf8_lossy(&asked.stdout).lines().any(|line| line.starts_with(qemu::MACHINE)))

@@ -92,35 +92,26 @@ impl Estimate {
     /// Carries the estimate on to `now`; gives the sum of the position variances.
     #[inline(always)]
     fn predict(&mut self, config: &Config, now: u32) -> i32 {
-        let due = now.wrapping_add(PER_HALF_TURN / 2) & !(PER_HALF_TURN - 1);
+        let due = due(now);
         let mut left = due.wrapping_sub(self.spread_at) / PER_HALF_TURN;
         self.spread_at = due;
-        while left > STRIDE {
-            left -= STRIDE;
-            let spread = self.spread_far(config, now);
-            if spread.cast_unsigned() > config.variance_limit.cast_unsigned() {
-                return spread;
-            }
-        }
-
-        let elapsed = now.wrapping_sub(self.at).cast_signed();
+        // The velocity is not believed for longer than a stride.
+        let elapsed = if left > STRIDE { STRIDE * PER_HALF_TURN } else { now.wrapping_sub(self.at) }.cast_signed();
         self.at = now;
         let [x, y, z] = &mut self.position;
         let [u, v, w] = &self.velocity;
         carry(x, *u, elapsed);
         carry(y, *v, elapsed);
         carry(z, *w, elapsed);
-        self.spread(config, left.cast_signed())
-    }
-
-    /// One stride of a gap too long for one; the velocity is not believed for longer than that.
-    #[cold]
-    #[inline(never)]
-    fn spread_far(&mut self, config: &Config, now: u32) -> i32 {
-        self.at = now.wrapping_sub(STRIDE * PER_HALF_TURN);
-        let spread = self.spread(config, STRIDE.cast_signed());
-        self.told = [0; 6];
-        spread
+        loop {
+            let stride = left.min(STRIDE);
+            let spread = self.spread(config, stride.cast_signed());
+            left -= stride;
+            if left == 0 || spread.cast_unsigned() > config.variance_limit.cast_unsigned() {
+                return spread;
+            }
+            self.told = [0; 6];
+        }
     }
 
     /// Takes from the covariances what the latest plane told, and carries them on by `stride` whole half turns; gives
@@ -206,17 +197,27 @@ impl Estimate {
     }
 
     /// Position (Q16 m), velocity (Q16 m/s) and variances of the position (Q32 m^2) at `now`, in the dark.
+    ///
+    /// The variance of one axis needs that axis alone, so nothing else is carried on.
     pub(super) fn after(&self, config: &Config, now: u32) -> ([i32; 3], [i32; 3], [i32; 3]) {
-        if now == self.at {
-            // Right at a sweep there is nothing to carry: only what its plane told is still to be taken.
-            let [xx, _, _, yy, _, zz] = self.pp;
-            let [x, y, z, ..] = self.told;
-            return self.as_reported([known(xx, x, x), known(yy, y, y), known(zz, z, z)]);
+        let ahead = due(now).wrapping_sub(self.spread_at) / PER_HALF_TURN;
+        let elapsed = now.wrapping_sub(self.at).min(STRIDE * PER_HALF_TURN).cast_signed();
+        let [xx, _, _, yy, _, zz] = self.pp;
+        let [[xu, _, _], [_, yv, _], [_, _, zw]] = self.pv;
+        let [uu, _, _, vv, _, ww] = self.vv;
+        let [x, y, z, u, v, w] = self.told;
+        let variances = [[xx, xu, uu, x, u], [yy, yv, vv, y, v], [zz, zw, ww, z, w]]
+            .map(|[pp, pv, vv, x, u]| variance_after(config, [pp, pv, vv], [x, u], ahead));
+        let mut position = self.position;
+        for (position, velocity) in position.iter_mut().zip(self.velocity) {
+            carry(position, velocity, elapsed);
         }
-        let mut ahead = self.clone();
-        ahead.predict(config, now);
-        let [xx, _, _, yy, _, zz] = ahead.pp;
-        ahead.as_reported([xx, yy, zz])
+        (
+            position.map(|axis| axis >> 8),
+            // 120 half turns a second.
+            self.velocity.map(|axis| axis.wrapping_mul(120) >> 6),
+            variances,
+        )
     }
 
     /// Whether `position`, Q16 m, is more than 2 m away along an axis.
@@ -224,14 +225,27 @@ impl Estimate {
         let pairs = self.position.iter().zip(position);
         pairs.into_iter().any(|(own, other)| (own >> 8).abs_diff(other) > 2 << 16)
     }
+}
 
-    fn as_reported(&self, variances: [i32; 3]) -> ([i32; 3], [i32; 3], [i32; 3]) {
-        (
-            self.position.map(|axis| axis >> 8),
-            // 120 half turns a second.
-            self.velocity.map(|axis| axis.wrapping_mul(120) >> 6),
-            variances.map(|variance| variance.max(0)),
-        )
+/// The whole half turn nearest to `now`.
+#[inline(always)]
+fn due(now: u32) -> u32 {
+    now.wrapping_add(PER_HALF_TURN / 2) & !(PER_HALF_TURN - 1)
+}
+
+/// The variance of one axis `left` half turns later; at most the largest number.
+#[inline(never)]
+fn variance_after(config: &Config, [mut pp, mut pv, mut vv]: [i32; 3], mut told: [i32; 2], mut left: u32) -> i32 {
+    loop {
+        let stride = left.min(STRIDE).cast_signed();
+        let [x, u] = &told;
+        let wider = spread_axis(&mut pp, &mut pv, &mut vv, [x, u], stride, stride.wrapping_mul(config.agility));
+        left -= stride.cast_unsigned();
+        // Beyond the limit the track is over, and further the sum would leave the 32 bits.
+        if left == 0 || wider.cast_unsigned() > config.variance_limit.cast_unsigned() {
+            return wider.max(0);
+        }
+        told = [0; 2];
     }
 }
 

@@ -171,6 +171,12 @@ impl Solver {
         if !self.is_due(config, at, half_turn) {
             return None;
         }
+        self.report(config, sighting, at, half_turn)
+    }
+
+    /// Not inlined: it comes with one sighting in several, and what it needs would be made ready for all of them.
+    #[inline(never)]
+    fn report(&mut self, config: &Config, sighting: Sighting, at: Ticks, half_turn: HalfTurn) -> Option<Report> {
         let mut report = match config.estimate {
             Estimate::Track => self.tracked(config, at, half_turn)?,
             Estimate::Fix => self.fixed(config, at, half_turn)?,

@@ -143,31 +143,28 @@ impl core::error::Error for Reject {}
 
 /// CRC-16 of IEEE 802.15.4-2006, 7.2.1.9: x^16 + x^12 + x^5 + 1, least significant bit first, from zero.
 ///
-/// Two bytes at a time and without a table. The remainder of `x^16 X` is the low half of `(x^12 + x^5 + 1) Q`, where the
-/// quotient Q is the high half of X times 1 / (1 + x^-4 + x^-11 + x^-16) = 1 + x^-4 + x^-8 + x^-11 + x^-12 + ... Bits
-/// stand in reverse, so dividing by x shifts left.
+/// A word at a time and without a table. The remainder of `x^16 X` is the low half of `(x^12 + x^5 + 1) Q`. The quotient Q
+/// is X over `1 + a` with a = x^-4 + x^-11 + x^-16, whole powers of x alone, and 1 / (1 + a) = (1 + a) (1 + a^2) (1 + a^4)
+/// up to a^8 = x^-32. Bits stand in reverse, so dividing by x shifts left.
 #[must_use]
+#[inline(always)]
 pub fn fcs(bytes: &[u8]) -> u16 {
-    let (pairs, last) = bytes.as_chunks();
+    let (words, rest) = bytes.as_chunks();
     let mut crc = 0;
-    for pair in pairs {
-        crc ^= u32::from(u16::from_le_bytes(*pair));
-        crc = remainder(crc ^ crc << 4 ^ crc << 8 ^ crc << 11 ^ crc << 12);
+    for word in words {
+        let x = crc ^ u32::from_le_bytes(*word);
+        let x = x ^ x << 4 ^ x << 11 ^ x << 16;
+        let x = x ^ x << 8 ^ x << 22;
+        let quotient = x ^ x << 16;
+        crc = (quotient ^ quotient >> 5 ^ quotient >> 12) >> 16;
     }
-    for byte in last {
-        // A byte at the high end of the 16 bits, so that the other's worth of zeros goes before it.
-        let low = crc ^ u32::from(*byte);
-        let high = low << 8;
-        crc = crc >> 8 ^ remainder(high ^ high << 4);
+    for byte in rest {
+        // The same for the 8 highest bits of a word.
+        let x = (crc ^ u32::from(*byte)) << 24;
+        let quotient = x ^ x << 4;
+        crc = crc >> 8 ^ (quotient ^ quotient >> 5 ^ quotient >> 12) >> 16;
     }
     crc as u16
-}
-
-/// What is left of a division, from the quotient in the low 16 bits.
-#[inline(always)]
-const fn remainder(quotient: u32) -> u32 {
-    let quotient = quotient & 0xffff;
-    quotient ^ quotient >> 5 ^ quotient >> 12
 }
 
 /// Writes bytes one after another into a frame.
@@ -219,8 +216,12 @@ impl Reader<'_> {
 #[must_use]
 #[inline]
 pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
-    let mut bytes = [0; LEN];
-    let mut to = Writer { bytes: &mut bytes, at: 0 };
+    // Words of it are read one by one at the end.
+    #[repr(align(4))]
+    struct Aligned([u8; LEN]);
+    let mut frame = Aligned([0; LEN]);
+    let bytes = &mut frame.0;
+    let mut to = Writer { bytes, at: 0 };
     to.put(FRAME_CONTROL.to_le_bytes());
     to.put([header.sequence as u8]);
     to.put(header.pan.to_le_bytes());
@@ -249,8 +250,8 @@ pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
         to.put(count.to_le_bytes());
     }
     let check = fcs(bytes.get(..LEN - 2).unwrap_or(&[]));
-    Writer { bytes: &mut bytes, at: LEN - 2 }.put(check.to_le_bytes());
-    bytes
+    Writer { bytes, at: LEN - 2 }.put(check.to_le_bytes());
+    frame.0
 }
 
 /// Reads a whole frame, FCS included.

@@ -208,8 +208,8 @@ pub struct State {
     believed: u32,
     /// Per station: its latest believed sweep.
     seen: [u32; 2],
-    /// Per rotor, azimuth and elevation of A, then of B: refused in a row.
-    refused: [u32; 4],
+    /// Per rotor of either station: refused in a row.
+    refused: [[u32; 2]; 2],
     /// Fixes in a row that were metres away.
     elsewhere: u32,
 }
@@ -245,7 +245,7 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
         light: now,
         believed: now,
         seen: [now; 2],
-        refused: [0; 4],
+        refused: [[0; 2]; 2],
         elsewhere: 0,
         estimate: filter::Estimate::at(position, config.start_position, config.start_velocity, now),
     };
@@ -272,7 +272,6 @@ pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> S
         return Step::Idle;
     }
     let station = sweep.station as usize;
-    let rotor = 2 * station + sweep.axis as usize;
     let outcome = if now.wrapping_sub(state.believed) > config.lost_after {
         filter::Outcome::Lost
     } else {
@@ -283,12 +282,13 @@ pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> S
         filter::Outcome::Believed => {
             state.believed = now;
             state.seen[station] = now;
-            state.refused[rotor] = 0;
+            state.refused[station][sweep.axis as usize] = 0;
             return Step::Believed;
         }
         filter::Outcome::Refused => {
-            let refused = state.refused[rotor].saturating_add(1);
-            state.refused[rotor] = refused;
+            let count = &mut state.refused[station][sweep.axis as usize];
+            *count = count.saturating_add(1);
+            let refused = *count;
             if refused < config.doubt_count {
                 return Step::Refused;
             }

@@ -95,23 +95,32 @@ impl Estimate {
         let due = due(now);
         let mut left = due.wrapping_sub(self.spread_at) / PER_HALF_TURN;
         self.spread_at = due;
-        // The velocity is not believed for longer than a stride.
-        let elapsed = if left > STRIDE { STRIDE * PER_HALF_TURN } else { now.wrapping_sub(self.at) }.cast_signed();
+        while left > STRIDE {
+            left -= STRIDE;
+            let spread = self.spread_far(config, now);
+            if spread.cast_unsigned() > config.variance_limit.cast_unsigned() {
+                return spread;
+            }
+        }
+
+        let elapsed = now.wrapping_sub(self.at).cast_signed();
         self.at = now;
         let [x, y, z] = &mut self.position;
         let [u, v, w] = &self.velocity;
         carry(x, *u, elapsed);
         carry(y, *v, elapsed);
         carry(z, *w, elapsed);
-        loop {
-            let stride = left.min(STRIDE);
-            let spread = self.spread(config, stride.cast_signed());
-            left -= stride;
-            if left == 0 || spread.cast_unsigned() > config.variance_limit.cast_unsigned() {
-                return spread;
-            }
-            self.told = [0; 6];
-        }
+        self.spread(config, left.cast_signed())
+    }
+
+    /// One stride of a gap too long for one; the velocity is not believed for longer than that.
+    #[cold]
+    #[inline(never)]
+    fn spread_far(&mut self, config: &Config, now: u32) -> i32 {
+        self.at = now.wrapping_sub(STRIDE * PER_HALF_TURN);
+        let spread = self.spread(config, STRIDE.cast_signed());
+        self.told = [0; 6];
+        spread
     }
 
     /// Takes from the covariances what the latest plane told, and carries them on by `stride` whole half turns; gives
@@ -317,10 +326,9 @@ struct Told {
 }
 
 impl Told {
-    /// Moves one component of the state, `DOWN` from Q29.
+    /// Moves one component of the state, `DOWN` from Q29, by its share of the surprise.
     #[inline(always)]
-    fn moves<const DOWN: u32>(&self, product: i32, told: &mut i32, state: &mut i32) {
-        let share = product >> self.down;
+    fn moves<const DOWN: u32>(&self, share: i32, told: &mut i32, state: &mut i32) {
         *told = share;
         *state = state.wrapping_sub(share.wrapping_mul(self.surprise) >> DOWN);
         home();
@@ -329,14 +337,14 @@ impl Told {
     /// A component of the position: tens to hundreds of units, so rounded down.
     #[inline(always)]
     fn moves_position(&self, covariance: i32, told: &mut i32, position: &mut i32) {
-        self.moves::<5>(covariance.wrapping_mul(self.mantissa), told, position);
+        self.moves::<5>(covariance.wrapping_mul(self.mantissa) >> self.down, told, position);
     }
 
     /// A component of the velocity: a few units, so rounded to the nearest; down would cost 2 % of accuracy.
     #[inline(always)]
     fn moves_velocity(&self, covariance: i32, told: &mut i32, velocity: &mut i32) {
-        let half = 1 << (self.down - 1);
-        self.moves::<7>(covariance.wrapping_mul(self.mantissa).wrapping_add(half), told, velocity);
+        let twice = covariance.wrapping_mul(self.mantissa) >> (self.down - 1);
+        self.moves::<7>((twice + 1) >> 1, told, velocity);
     }
 }
 

@@ -96,8 +96,12 @@ mod app {
 
     #[task(binds = SOFT4, priority = 3, shared = [classify])]
     fn classify(cx: classify::Context) {
-        if cx.shared.classify.run(&CONFIG) {
+        let done = cx.shared.classify.run(&CONFIG);
+        if done.passed_on {
             rtic::pend(Interrupt::SOFT5);
+        }
+        if done.more {
+            rtic::pend(Interrupt::SOFT4);
         }
     }
 
@@ -110,8 +114,12 @@ mod app {
 
     #[task(binds = SOFT5, priority = 1, local = [solve])]
     fn solve(cx: solve::Context) {
-        if cx.local.solve.run(&CONFIG) {
+        let done = cx.local.solve.run(&CONFIG);
+        if done.passed_on {
             rtic::pend(Interrupt::RF);
+        }
+        if done.more {
+            rtic::pend(Interrupt::SOFT5);
         }
     }
 

@@ -7,7 +7,7 @@
 use core::sync::atomic::{AtomicU16, Ordering};
 
 use lighthouse_mote::chain::{Classifier, Config, Seen, Sighting, Solver};
-use lighthouse_mote::frame::{self, Header};
+use lighthouse_mote::frame::{self, Header, Report};
 use lighthouse_mote::time::Ticks;
 
 use crate::queue::{Queue, Reader, Writer};
@@ -36,46 +36,64 @@ impl Classify {
         Self { classifier: Classifier::default(), pulses, sightings, owed: None }
     }
 
-    /// Takes every pulse there is; true when the solver has something to do.
-    pub fn run(&mut self, config: &Config) -> bool {
-        let mut any = false;
-        while let Some(pulse) = self.pulses.next() {
-            if let Some(sighting) = self.classifier.pulse(config, pulse) {
-                self.pass_on(sighting);
-                any = true;
-            }
-        }
-        any
+    /// Takes the oldest pulse.
+    ///
+    /// One at a time, as every pulse pends the task that calls this: what a loop would keep ready costs more than the
+    /// rare second call.
+    #[inline(always)]
+    pub fn run(&mut self, config: &Config) -> Done {
+        let passed_on = match self.pulses.next() {
+            Some(pulse) => match self.classifier.pulse(config, pulse) {
+                Some(sighting) => self.pass_on(sighting),
+                None => false,
+            },
+            None => false,
+        };
+        Done { passed_on, more: !self.pulses.is_empty() }
     }
 
-    /// Notices a long darkness at `now`, after every pulse before it; true when the solver has something to do.
+    /// Notices a long darkness at `now`; true when the solver has something to do. Where a pulse waits there is none.
     pub fn expire(&mut self, config: &Config, now: Ticks) -> bool {
-        let any = self.run(config);
-        let Some(sighting) = self.classifier.expire(config, now) else { return any };
-        self.pass_on(sighting);
+        if !self.pulses.is_empty() {
+            return false;
+        }
+        let Some(sighting) = self.classifier.expire(config, now) else { return false };
+        self.pass_on(sighting)
+    }
+
+    #[inline(always)]
+    fn pass_on(&mut self, sighting: Sighting) -> bool {
+        // What is owed comes first, or the news would be of the wrong angles.
+        if self.owed.is_some() || !self.sightings.push(sighting) {
+            self.owe(sighting);
+        }
         true
     }
 
-    fn pass_on(&mut self, sighting: Sighting) {
-        // What is owed comes first, or the news would be of the wrong angles.
+    #[cold]
+    #[inline(never)]
+    fn owe(&mut self, sighting: Sighting) {
         if let Some(owed) = self.owed
-            && self.sent(&owed)
+            && self.sightings.push(owed)
         {
             self.owed = None;
         }
-        if self.owed.is_some() || !self.sent(&sighting) {
+        if self.owed.is_some() || !self.sightings.push(sighting) {
             LOST.store(LOST.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
             if sighting.seen == Seen::Lost {
                 self.owed = Some(sighting);
             }
         }
     }
+}
 
-    /// Whether there was room. Not inlined: it is large, and called twice.
-    #[inline(never)]
-    fn sent(&mut self, sighting: &Sighting) -> bool {
-        self.sightings.push(*sighting)
-    }
+/// What became of one entry of a queue.
+#[derive(Debug, Clone, Copy)]
+pub struct Done {
+    /// The stage behind has something to do.
+    pub passed_on: bool,
+    /// This one has more to do.
+    pub more: bool,
 }
 
 /// The second stage.
@@ -97,27 +115,32 @@ impl Solve {
         Self { solver: Solver::default(), sightings, frames, header, reports_lost: 0 }
     }
 
-    /// Takes every sighting there is; true when the radio has something to do.
-    pub fn run(&mut self, config: &Config) -> bool {
-        let mut any = false;
-        while let Some(sighting) = self.sightings.oldest() {
-            if sighting.seen == Seen::Lost {
-                defmt::warn!("light lost; edges {=u16}, pulses {=u16}", sighting.edges_lost, sighting.pulses_lost);
-            }
-            let report = self.solver.step(config, *sighting);
-            self.sightings.pop();
-            let Some(mut report) = report else { continue };
-            let losses = &mut report.losses;
-            losses.edges = losses.edges.wrapping_add(capture::lost());
-            losses.sweeps = losses.sweeps.wrapping_add(LOST.load(Ordering::Relaxed));
-            losses.reports = self.reports_lost.wrapping_add(radio::lost());
-            if self.frames.push(Frame(frame::emit(self.header, &report))) {
-                self.header.sequence = self.header.sequence.wrapping_add(1);
-                any = true;
-            } else {
-                self.reports_lost = self.reports_lost.wrapping_add(1);
-            }
+    /// Takes the oldest sighting; one at a time as [`Classify::run`].
+    #[inline(always)]
+    pub fn run(&mut self, config: &Config) -> Done {
+        let Some(&sighting) = self.sightings.oldest() else { return Done { passed_on: false, more: false } };
+        if sighting.seen == Seen::Lost {
+            defmt::warn!("light lost; edges {=u16}, pulses {=u16}", sighting.edges_lost, sighting.pulses_lost);
         }
-        any
+        let report = self.solver.step(config, sighting);
+        self.sightings.pop();
+        let passed_on = match report {
+            Some(report) => self.send(report),
+            None => false,
+        };
+        Done { passed_on, more: self.sightings.oldest().is_some() }
+    }
+
+    /// Makes a frame of a report; whether there was room for it.
+    #[inline(never)]
+    fn send(&mut self, mut report: Report) -> bool {
+        let losses = &mut report.losses;
+        losses.edges = losses.edges.wrapping_add(capture::lost());
+        losses.sweeps = losses.sweeps.wrapping_add(LOST.load(Ordering::Relaxed));
+        losses.reports = self.reports_lost.wrapping_add(radio::lost());
+        let sent = self.frames.push(Frame(frame::emit(self.header, &report)));
+        let count = if sent { &mut self.header.sequence } else { &mut self.reports_lost };
+        *count = count.wrapping_add(1);
+        sent
     }
 }

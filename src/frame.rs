@@ -212,14 +212,27 @@ impl Reader<'_> {
     }
 }
 
+/// A frame on a word, where it is cheap to check and a transmitter can read it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(align(4))]
+pub struct Aligned(pub [u8; LEN]);
+
+impl Aligned {
+    /// No frame yet.
+    pub const BLANK: Self = Self([0; LEN]);
+}
+
 /// The whole frame, FCS included.
 #[must_use]
-#[inline]
 pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
-    // Words of it are read one by one at the end.
-    #[repr(align(4))]
-    struct Aligned([u8; LEN]);
-    let mut frame = Aligned([0; LEN]);
+    let mut frame = Aligned::BLANK;
+    emit_into(&mut frame, header, report);
+    frame.0
+}
+
+/// The same where it is to be, which saves copies.
+#[inline(always)]
+pub fn emit_into(frame: &mut Aligned, header: Header, report: &Report) {
     let bytes = &mut frame.0;
     let mut to = Writer { bytes, at: 0 };
     to.put(FRAME_CONTROL.to_le_bytes());
@@ -251,7 +264,6 @@ pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
     }
     let check = fcs(bytes.get(..LEN - 2).unwrap_or(&[]));
     Writer { bytes, at: LEN - 2 }.put(check.to_le_bytes());
-    frame.0
 }
 
 /// Reads a whole frame, FCS included.

@@ -209,17 +209,21 @@ impl Estimate {
     ///
     /// The variance of one axis needs that axis alone, so nothing else is carried on.
     pub(super) fn after(&self, config: &Config, now: u32) -> ([i32; 3], [i32; 3], [i32; 3]) {
-        let ahead = due(now).wrapping_sub(self.spread_at) / PER_HALF_TURN;
-        let elapsed = now.wrapping_sub(self.at).min(STRIDE * PER_HALF_TURN).cast_signed();
         let [xx, _, _, yy, _, zz] = self.pp;
         let [[xu, _, _], [_, yv, _], [_, _, zw]] = self.pv;
         let [uu, _, _, vv, _, ww] = self.vv;
         let [x, y, z, u, v, w] = self.told;
-        let variances = [[xx, xu, uu, x, u], [yy, yv, vv, y, v], [zz, zw, ww, z, w]]
-            .map(|[pp, pv, vv, x, u]| variance_after(config, [pp, pv, vv], [x, u], ahead));
         let mut position = self.position;
-        for (position, velocity) in position.iter_mut().zip(self.velocity) {
-            carry(position, velocity, elapsed);
+        // Right at a sweep there is nothing to carry: only what its plane told is still to be taken.
+        let mut variances = [known(xx, x, x), known(yy, y, y), known(zz, z, z)];
+        if now != self.at {
+            let ahead = due(now).wrapping_sub(self.spread_at) / PER_HALF_TURN;
+            let axes = [[xx, xu, uu, x, u], [yy, yv, vv, y, v], [zz, zw, ww, z, w]];
+            variances = axes.map(|axis| variance_after(config, axis, ahead));
+            let elapsed = now.wrapping_sub(self.at).min(STRIDE * PER_HALF_TURN).cast_signed();
+            for (position, velocity) in position.iter_mut().zip(self.velocity) {
+                carry(position, velocity, elapsed);
+            }
         }
         (
             position.map(|axis| axis >> 8),
@@ -242,19 +246,19 @@ fn due(now: u32) -> u32 {
     now.wrapping_add(PER_HALF_TURN / 2) & !(PER_HALF_TURN - 1)
 }
 
-/// The variance of one axis `left` half turns later; at most the largest number.
+/// The position's variance of one axis `left` half turns later.
+#[cold]
 #[inline(never)]
-fn variance_after(config: &Config, [mut pp, mut pv, mut vv]: [i32; 3], mut told: [i32; 2], mut left: u32) -> i32 {
+fn variance_after(config: &Config, [mut pp, mut pv, mut vv, mut x, mut u]: [i32; 5], mut left: u32) -> i32 {
     loop {
         let stride = left.min(STRIDE).cast_signed();
-        let [x, u] = &told;
-        let wider = spread_axis(&mut pp, &mut pv, &mut vv, [x, u], stride, stride.wrapping_mul(config.agility));
+        let wider = spread_axis(&mut pp, &mut pv, &mut vv, [&x, &u], stride, stride.wrapping_mul(config.agility));
         left -= stride.cast_unsigned();
         // Beyond the limit the track is over, and further the sum would leave the 32 bits.
         if left == 0 || wider.cast_unsigned() > config.variance_limit.cast_unsigned() {
-            return wider.max(0);
+            return wider;
         }
-        told = [0; 2];
+        (x, u) = (0, 0);
     }
 }
 

@@ -26,7 +26,7 @@ use lighthouse_mote::angle::{self, Bearing};
 use lighthouse_mote::chain::{Classifier, Seen, Sighting, Solver};
 use lighthouse_mote::edge::Edge;
 use lighthouse_mote::fix::{self, Angle, Solution};
-use lighthouse_mote::frame::{self, Header, Level, Report};
+use lighthouse_mote::frame::{self, Aligned, Header, Level, Report};
 use lighthouse_mote::pulse::{self, Pulse};
 use lighthouse_mote::sweep::{self, Axis, HalfTurn, Light, Station, Sweep};
 use lighthouse_mote::time::{Span, Ticks};
@@ -81,7 +81,7 @@ struct Rig {
     sighting: Sighting,
     lit: Sighting,
     report: Report,
-    frame: [u8; frame::LEN],
+    frame: Aligned,
     pulses: pulse::State,
     sweeps: sweep::State,
     angles: angle::State,
@@ -135,7 +135,7 @@ pub extern "C" fn reset() {
         sighting: Sighting { seen: Seen::Lost, edges_lost: 0, pulses_lost: 0 },
         lit: Sighting { seen: Seen::Lost, edges_lost: 0, pulses_lost: 0 },
         report: Report::default(),
-        frame: [0; frame::LEN],
+        frame: Aligned::BLANK,
         pulses: pulse::State::default(),
         sweeps: sweep::State::default(),
         angles: angle::State::default(),
@@ -352,8 +352,9 @@ pub extern "C" fn relight() {
 #[unsafe(no_mangle)]
 pub extern "C" fn stage_frame(_: u32, _: u32) -> u32 {
     let rig = rig();
-    rig.frame = frame::emit(Header { pan: PAN, mote: MOTE, sequence: rig.report.time as u16 }, &rig.report);
-    u32::from(rig.frame[0])
+    let header = Header { pan: PAN, mote: MOTE, sequence: rig.report.time as u16 };
+    frame::emit_into(&mut rig.frame, header, &rig.report);
+    u32::from(rig.frame.0[0])
 }
 
 /// The paper's method in single precision; 1 when there is a position.

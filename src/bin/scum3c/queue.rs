@@ -9,6 +9,8 @@ use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
 
+use lighthouse_mote::frame::Aligned;
+
 /// Room for `N` entries, a power of two.
 #[repr(C)]
 pub struct Queue<T, const N: usize> {
@@ -24,6 +26,15 @@ pub struct Queue<T, const N: usize> {
 // order. On one core the order of the instructions is the order of the accesses.
 unsafe impl<T: Send, const N: usize> Sync for Queue<T, N> {}
 
+/// What may be made of zeros.
+///
+/// # Safety
+/// All bytes zero are a value of it.
+pub unsafe trait Zeros {}
+
+// SAFETY: it is bytes, and any will do.
+unsafe impl Zeros for Aligned {}
+
 /// The writer's end.
 pub struct Writer<T: 'static, const N: usize>(&'static Queue<T, N>);
 
@@ -34,7 +45,7 @@ impl<T: Copy, const N: usize> Queue<T, N> {
     /// Empty.
     pub const fn new() -> Self {
         const { assert!(N.is_power_of_two(), "the index is a mask") };
-        let entries = UnsafeCell::new([const { MaybeUninit::uninit() }; N]);
+        let entries = UnsafeCell::new([const { MaybeUninit::zeroed() }; N]);
         Self { written: AtomicU32::new(0), read: AtomicU32::new(0), entries }
     }
 
@@ -55,13 +66,32 @@ impl<T: Copy, const N: usize> Writer<T, N> {
     #[inline(always)]
     #[must_use]
     pub fn push(&mut self, entry: T) -> bool {
+        self.append(|place| {
+            place.write(entry);
+        })
+    }
+
+    /// Appends what `fill` makes of an old entry or of zeros; false where there is no room for it.
+    #[inline(always)]
+    #[must_use]
+    pub fn fill(&mut self, fill: impl FnOnce(&mut T)) -> bool
+    where
+        T: Zeros,
+    {
+        // SAFETY: the place holds what was once written to it or, before that, zeros, which are a value as `Zeros` says.
+        self.append(|place| fill(unsafe { place.assume_init_mut() }))
+    }
+
+    /// Appends what `write` leaves in its place, which is to be a value.
+    #[inline(always)]
+    fn append(&mut self, write: impl FnOnce(&mut MaybeUninit<T>)) -> bool {
         let written = self.0.written.load(Ordering::Relaxed);
         if written.wrapping_sub(self.0.read.load(Ordering::Relaxed)) >= N as u32 {
             return false;
         }
         compiler_fence(Ordering::Acquire);
         // SAFETY: not between `read` and `written`, so the writer's, and there is one writer, borrowed.
-        unsafe { (*self.0.entry(written)).write(entry) };
+        write(unsafe { &mut *self.0.entry(written) });
         compiler_fence(Ordering::Release);
         self.0.written.store(written.wrapping_add(1), Ordering::Relaxed);
         true

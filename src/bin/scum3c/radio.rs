@@ -12,7 +12,7 @@
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 
-use lighthouse_mote::frame;
+use lighthouse_mote::frame::{self, Aligned};
 use lighthouse_mote::time::Span;
 
 use crate::pac::{analog, rf};
@@ -66,13 +66,8 @@ pub fn lost() -> u16 {
 
 /// Frames that may wait, the one on the air among them.
 pub const FRAMES: usize = 4;
-/// The memory for them.
-pub type Frames = Queue<Frame, FRAMES>;
-
-/// A frame where the controller's DMA can read it: on a word (`radio.c`, radio_tx_buffer).
-#[derive(Clone, Copy)]
-#[repr(align(4))]
-pub struct Frame(pub [u8; frame::LEN]);
+/// The memory for them, where the controller's DMA can read it: on a word (`radio.c`, radio_tx_buffer).
+pub type Frames = Queue<Aligned, FRAMES>;
 
 /// What the radio is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,12 +81,12 @@ enum State {
 pub struct Radio {
     state: State,
     /// The oldest is the one on the air.
-    frames: Reader<Frame, FRAMES>,
+    frames: Reader<Aligned, FRAMES>,
 }
 
 impl Radio {
     /// Off.
-    pub fn new(frames: Reader<Frame, FRAMES>) -> Self {
+    pub fn new(frames: Reader<Aligned, FRAMES>) -> Self {
         rf::CONTROL.write(rf::RESET);
         rf::INT_CLEAR.write(rf::ALL);
         rf::ERROR_CLEAR.write(rf::ALL);
@@ -143,7 +138,7 @@ impl Radio {
 }
 
 /// Everything up to the send.
-fn load(frame: &Frame) {
+fn load(frame: &Aligned) {
     analog::REG10.write(SUPPLIES_TX);
     analog::REG16.write(RECEIVER_OFF);
     // The controller reads the frame behind the compiler's back.

@@ -7,11 +7,11 @@
 use core::sync::atomic::{AtomicU16, Ordering};
 
 use lighthouse_mote::chain::{Classifier, Config, Seen, Sighting, Solver};
-use lighthouse_mote::frame::{self, Header, Report};
+use lighthouse_mote::frame::{self, Aligned, Header, Report};
 use lighthouse_mote::time::Ticks;
 
 use crate::queue::{Queue, Reader, Writer};
-use crate::radio::{self, Frame};
+use crate::radio;
 use crate::capture;
 
 /// Sightings between the stages: 67 ms at 120 sweeps a second.
@@ -100,7 +100,7 @@ pub struct Done {
 pub struct Solve {
     solver: Solver,
     sightings: Reader<Sighting, SIGHTINGS>,
-    frames: Writer<Frame, { radio::FRAMES }>,
+    frames: Writer<Aligned, { radio::FRAMES }>,
     header: Header,
     reports_lost: u16,
 }
@@ -109,7 +109,7 @@ impl Solve {
     /// Reads `sightings`, writes `frames` as `header` says, its sequence the first.
     pub fn new(
         sightings: Reader<Sighting, SIGHTINGS>,
-        frames: Writer<Frame, { radio::FRAMES }>,
+        frames: Writer<Aligned, { radio::FRAMES }>,
         header: Header,
     ) -> Self {
         Self { solver: Solver::default(), sightings, frames, header, reports_lost: 0 }
@@ -138,7 +138,7 @@ impl Solve {
         losses.edges = losses.edges.wrapping_add(capture::lost());
         losses.sweeps = losses.sweeps.wrapping_add(LOST.load(Ordering::Relaxed));
         losses.reports = self.reports_lost.wrapping_add(radio::lost());
-        let sent = self.frames.push(Frame(frame::emit(self.header, &report)));
+        let sent = self.frames.fill(|frame| frame::emit_into(frame, self.header, &report));
         let count = if sent { &mut self.header.sequence } else { &mut self.reports_lost };
         *count = count.wrapping_add(1);
         sent

@@ -33,6 +33,8 @@ mod tests;
 #[cfg(test)]
 mod twin;
 
+pub use root::square_root;
+
 use nalgebra::{Matrix3, Vector3};
 
 use crate::angle::Angle;

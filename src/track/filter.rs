@@ -364,3 +364,40 @@ fn beyond(value: i32, bits: u32) -> bool {
 fn home() {
     compiler_fence(Ordering::SeqCst);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    prop_compose! {
+        /// Three axes with some covariance, and a plane that told less than is known.
+        fn estimates()(
+            position in prop::array::uniform3(-(4 << 24)..4 << 24),
+            velocity in prop::array::uniform3(-(1 << 16)..1 << 16),
+            told in prop::array::uniform6(-64..64),
+            now in any::<u32>(),
+        ) -> Estimate {
+            let config = Config::HAND_HELD;
+            let start = Estimate::at([0; 3], config.start_position, config.start_velocity, now);
+            Estimate { position, velocity, told, at: now, spread_at: due(now), ..start }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_look_ahead_is_where_the_estimate_will_be(estimate in estimates(), elapsed in 0u32..48 * PER_HALF_TURN) {
+            let config = Config::HAND_HELD;
+            let now = estimate.at.wrapping_add(elapsed);
+            let (position, velocity, variances) = estimate.after(&config, now);
+            let mut later = estimate;
+            let spread = later.predict(&config, now);
+            // Beyond that the track is over.
+            prop_assume!(spread <= config.variance_limit);
+            prop_assert_eq!(position, later.position.map(|axis| axis >> 8));
+            prop_assert_eq!(velocity, later.velocity.map(|axis| axis * 120 >> 6));
+            let [xx, _, _, yy, _, zz] = later.pp;
+            prop_assert_eq!(variances, [xx, yy, zz]);
+        }
+    }
+}

@@ -24,8 +24,9 @@ pub(super) fn reciprocal_root(value: i32) -> Root {
 /// The square root of `value`, zero for a negative one: to 1/600 and one unit, rounded down.
 ///
 /// Not inlined: a report wants three, and is rare.
+#[must_use]
 #[inline(never)]
-pub(super) fn square_root(value: i32) -> i32 {
+pub fn square_root(value: i32) -> i32 {
     // What the reciprocal would take as 2^14 is made larger.
     let (value, back) = if value < 1 << 14 { (value.max(0) << 14, 7) } else { (value, 0) };
     let Root { mantissa, shift } = reciprocal_root(value);

@@ -31,6 +31,7 @@ use lighthouse_mote::pulse::{self, Pulse};
 use lighthouse_mote::sweep::{self, Axis, HalfTurn, Light, Station, Sweep};
 use lighthouse_mote::time::{Span, Ticks};
 use lighthouse_mote::track;
+use micromath::F32Ext;
 use nalgebra::RealField;
 use reference::Room;
 use semihosting::{print, println};
@@ -357,6 +358,18 @@ pub extern "C" fn stage_frame(_: u32, _: u32) -> u32 {
     u32::from(rig.frame.0[0])
 }
 
+/// A variance to a standard deviation.
+#[unsafe(no_mangle)]
+pub extern "C" fn stage_root(variance: u32, _: u32) -> u32 {
+    track::square_root(variance.cast_signed()).cast_unsigned()
+}
+
+/// The same in single precision.
+#[unsafe(no_mangle)]
+pub extern "C" fn reference_root_f32(variance: u32, _: u32) -> u32 {
+    F32Ext::sqrt(variance as f32) as u32
+}
+
 /// The paper's method in single precision; 1 when there is a position.
 #[unsafe(no_mangle)]
 pub extern "C" fn reference_svd_f32(_: u32, _: u32) -> u32 {
@@ -409,8 +422,8 @@ const WALK: [(&str, Stage, u32); 9] = [
 
 /// What the program itself does not call, so that the linker keeps it.
 #[used]
-static FOR_THE_HOST: ([extern "C" fn() -> u32; 2], [extern "C" fn(); 2], [Stage; 2]) =
-    ([pass_on, start_track], [darken, relight], [stage_classify, stage_solve]);
+static FOR_THE_HOST: ([extern "C" fn() -> u32; 2], [extern "C" fn(); 2], [Stage; 4]) =
+    ([pass_on, start_track], [darken, relight], [stage_classify, stage_solve, stage_root, reference_root_f32]);
 
 /// Ticks that so many steps take.
 #[inline(never)]

@@ -74,11 +74,7 @@ mod app {
         let (to_radio, frames) = cx.local.frames.split();
         let header = Header { pan: PAN, mote: MOTE, sequence: 0 };
         (
-            Shared {
-                capture,
-                classify: Classify::new(pulses, to_solve),
-                radio: Radio::new(frames),
-            },
+            Shared { capture, classify: Classify::new(pulses, to_solve), radio: Radio::new(frames) },
             Local { solve: Solve::new(sightings, to_radio, header) },
         )
     }

@@ -10,9 +10,9 @@ use lighthouse_mote::chain::{Classifier, Config, Seen, Sighting, Solver};
 use lighthouse_mote::frame::{self, Aligned, Header, Report};
 use lighthouse_mote::time::Ticks;
 
+use crate::capture;
 use crate::queue::{Queue, Reader, Writer};
 use crate::radio;
-use crate::capture;
 
 /// Sightings between the stages: 67 ms at 120 sweeps a second.
 const SIGHTINGS: usize = 8;

@@ -109,7 +109,7 @@ fn put(bytes: &[u8]) {
 
 /// Carries the ring to the port; from then on a handler returns into sleep, until one logs. For `idle`.
 ///
-/// Waking `idle` 4 times per sweep only to find an empty ring costs a thirtieth of all cycles.
+/// Waking `idle` several times per sweep only to find an empty ring would cost a thirtieth of all cycles.
 pub fn carry() {
     loop {
         // Handlers must return to the loop in `drain`, or it would stand still.

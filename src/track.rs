@@ -274,7 +274,7 @@ pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> S
         return Step::Idle;
     }
     let station = sweep.station as usize;
-    let outcome = if now.wrapping_sub(state.believed) > config.lost_after {
+    let outcome = if now.wrapping_sub(state.believed) >= config.lost_after {
         filter::Outcome::Lost
     } else {
         let pose = &room.stations[station];

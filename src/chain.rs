@@ -171,6 +171,12 @@ impl Solver {
         if !self.is_due(config, at, half_turn) {
             return None;
         }
+        self.report(config, sighting, at, half_turn)
+    }
+
+    /// Not inlined: it comes with one sighting in several, and what it needs would be made ready for all of them.
+    #[inline(never)]
+    fn report(&mut self, config: &Config, sighting: Sighting, at: Ticks, half_turn: HalfTurn) -> Option<Report> {
         let mut report = match config.estimate {
             Estimate::Track => self.tracked(config, at, half_turn)?,
             Estimate::Fix => self.fixed(config, at, half_turn)?,
@@ -212,7 +218,8 @@ impl Solver {
     }
 
     fn tracked(&mut self, config: &Config, at: Ticks, half_turn: HalfTurn) -> Option<Report> {
-        let since = self.heard.map_or(0, |heard| elapsed(heard, at, half_turn));
+        // Nearly always the sweep itself.
+        let since = self.heard.filter(|heard| *heard != at).map_or(0, |heard| elapsed(heard, at, half_turn));
         let track = track::report(&config.track, &self.track, since);
         if track.level < Level::Tracked {
             return None;
@@ -225,7 +232,8 @@ impl Solver {
             position: track.position.map(I16F16::from_bits),
             // Q16 to Q10.
             velocity: track.velocity.map(|speed| I6F10::from_bits((speed >> 6).clamp(-0x8000, 0x7fff) as i16)),
-            sd: track.sd.map(|sd| U0F16::from_bits(saturated(sd.unsigned_abs()))),
+            // The root of 32 bits has 16.
+            sd: track.sd.map(|sd| U0F16::from_bits(sd as u16)),
             mismatch: mismatch(fix),
             level: track.level,
             ..Report::default()

@@ -33,7 +33,8 @@ mod tests;
 #[cfg(test)]
 mod twin;
 
-use micromath::F32Ext;
+pub use root::square_root;
+
 use nalgebra::{Matrix3, Vector3};
 
 use crate::angle::Angle;
@@ -113,6 +114,7 @@ pub struct Pose {
 
 impl Pose {
     /// Whether it lights `position` (Q16 m): at most 8 m ahead and 63 deg to a side.
+    #[inline(never)]
     fn lights(&self, position: [i32; 3]) -> bool {
         // Q10, so that a sum of three products with Q15 fits within 16 m.
         let mut away = [0; 3];
@@ -208,8 +210,8 @@ pub struct State {
     believed: u32,
     /// Per station: its latest believed sweep.
     seen: [u32; 2],
-    /// Per rotor, azimuth and elevation of A, then of B: refused in a row.
-    refused: [u32; 4],
+    /// Per rotor of either station: refused in a row.
+    refused: [[u32; 2]; 2],
     /// Fixes in a row that were metres away.
     elsewhere: u32,
 }
@@ -220,12 +222,19 @@ pub struct State {
 /// many metres off may go on unrefused, and only a fix can tell. Does nothing either when the mismatch is too large to trust the fix, or where a
 /// station's light does not reach.
 pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3], mismatch: i32) -> bool {
-    let lit = room.stations.iter().all(|station| station.lights(position));
-    if !lit || mismatch.unsigned_abs() > config.start_mismatch.unsigned_abs() {
+    if mismatch.unsigned_abs() > config.start_mismatch.unsigned_abs() {
+        return false;
+    }
+    // Nearly always the end of it, so asked before the light.
+    if state.tracking && !state.estimate.is_elsewhere(position) {
+        state.elsewhere = 0;
+        return false;
+    }
+    if !room.stations.iter().all(|station| station.lights(position)) {
         return false;
     }
     if state.tracking {
-        state.elsewhere = if state.estimate.is_elsewhere(position) { state.elsewhere.saturating_add(1) } else { 0 };
+        state.elsewhere = state.elsewhere.saturating_add(1);
         if state.elsewhere < config.doubt_count {
             return false;
         }
@@ -238,7 +247,7 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
         light: now,
         believed: now,
         seen: [now; 2],
-        refused: [0; 4],
+        refused: [[0; 2]; 2],
         elsewhere: 0,
         estimate: filter::Estimate::at(position, config.start_position, config.start_velocity, now),
     };
@@ -265,8 +274,7 @@ pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> S
         return Step::Idle;
     }
     let station = sweep.station as usize;
-    let rotor = 2 * station + sweep.axis as usize;
-    let outcome = if now.wrapping_sub(state.believed) > config.lost_after {
+    let outcome = if now.wrapping_sub(state.believed) >= config.lost_after {
         filter::Outcome::Lost
     } else {
         let pose = &room.stations[station];
@@ -276,12 +284,13 @@ pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> S
         filter::Outcome::Believed => {
             state.believed = now;
             state.seen[station] = now;
-            state.refused[rotor] = 0;
+            state.refused[station][sweep.axis as usize] = 0;
             return Step::Believed;
         }
         filter::Outcome::Refused => {
-            let refused = state.refused[rotor].saturating_add(1);
-            state.refused[rotor] = refused;
+            let count = &mut state.refused[station][sweep.axis as usize];
+            *count = count.saturating_add(1);
+            let refused = *count;
             if refused < config.doubt_count {
                 return Step::Refused;
             }
@@ -303,8 +312,7 @@ pub fn report(config: &Config, state: &State, elapsed: u32) -> Track {
         return Track { level: light, ..Track::default() };
     }
     let (position, velocity, variance) = state.estimate.after(config, state.now.wrapping_add(elapsed));
-    // Once per report, and a per cent is plenty: the one place for a float.
-    let sd = variance.map(|variance| F32Ext::sqrt(variance.max(0) as f32) as i32);
+    let sd = variance.map(root::square_root);
     let level = if sd.iter().any(|sd| *sd > config.sd_limit) {
         Level::Angles
     } else if state.seen.iter().all(|then| since(*then) <= config.fresh) {

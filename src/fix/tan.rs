@@ -10,22 +10,26 @@ use super::layout::HALF;
 const HALF_TURN: f64 = 1_048_576.0;
 /// log2 of the width of a cell in angle units.
 const CELL_BITS: u32 = 10;
-/// Cells from the left edge to the right; the edges lie at +-60.03 deg.
-const CELLS: usize = 683;
-/// Added to an angle to count from the left edge.
-const LEFT: i32 = (CELLS as i32) << (CELL_BITS - 1);
+/// Cells from straight ahead to the edge, which lies at 60.12 deg; the left half mirrors the right.
+const CELLS: usize = 342;
 /// One in the Q28 of the result.
 const ONE: f64 = (1u32 << 28) as f64;
 
-static LINES: ([i32; CELLS], [u16; CELLS]) = lines();
+/// Two tables, because the end of one is no constant that this core can name in one instruction.
+static BASES: [i32; CELLS] = lines().0;
+static SLOPES: [u16; CELLS] = lines().1;
 
-/// tan(angle) + [`HALF`] in Q28, or nothing outside the field of view (+-60.03 deg).
+/// tan(angle) + [`HALF`] in Q28, or nothing outside the field of view (+-60.12 deg).
 #[inline(always)]
 pub fn tan(angle: i32) -> Option<i32> {
-    let from_left = angle.wrapping_add(LEFT) as u32;
-    let cell = (from_left >> CELL_BITS) as usize;
-    let (base, slope) = (*LINES.0.get(cell)?, *LINES.1.get(cell)?);
-    Some(base.wrapping_add(i32::from(slope).wrapping_mul(from_left as i32)))
+    let sign = angle >> 31;
+    // The smallest angle has no opposite, and lies outside.
+    let aside = (angle ^ sign).wrapping_sub(sign);
+    let cell = (aside as u32 >> CELL_BITS) as usize;
+    let (base, slope) = (*BASES.get(cell)?, *SLOPES.get(cell)?);
+    let tangent = base.wrapping_add(i32::from(slope).wrapping_mul(aside));
+    // One unit of Q28 more or less for a negative one is nothing.
+    Some((tangent ^ sign).wrapping_add(HALF))
 }
 
 /// The bases and the slopes.
@@ -36,13 +40,13 @@ const fn lines() -> ([i32; CELLS], [u16; CELLS]) {
         let width = (1u32 << CELL_BITS) as f64;
         let left = cell as f64 * width;
         let radians = core::f64::consts::PI / HALF_TURN;
-        let at_left = tangent((left - LEFT as f64) * radians) * ONE;
-        let at_right = tangent((left + width - LEFT as f64) * radians) * ONE;
-        let at_middle = tangent((left + width / 2.0 - LEFT as f64) * radians) * ONE;
+        let at_left = tangent(left * radians) * ONE;
+        let at_right = tangent((left + width) * radians) * ONE;
+        let at_middle = tangent((left + width / 2.0) * radians) * ONE;
         let slope = round((at_right - at_left) / width);
         // Simpson's mean of the curve, so that the line has no bias in its cell.
         let mean = (at_left + 4.0 * at_middle + at_right) / 6.0;
-        let base = mean - slope as f64 * (left + width / 2.0) + HALF as f64;
+        let base = mean - slope as f64 * (left + width / 2.0);
         // The true base may leave i32; what counts is the sum modulo 2^32.
         table.0[cell] = round(base) as i32;
         // At most 4 pi 2^8: the slope of the tangent at 60 deg.
@@ -93,8 +97,8 @@ mod tests {
 
     #[test]
     fn the_field_of_view_ends_at_sixty_degrees() {
-        assert_eq!(tan(349_696), None);
-        assert_eq!(tan(-349_697), None);
+        assert_eq!(tan(350_208), None);
+        assert_eq!(tan(-350_208), None);
         assert_eq!(tan(i32::MIN), None);
         assert_eq!(tan(i32::MAX), None);
     }

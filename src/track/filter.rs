@@ -92,7 +92,7 @@ impl Estimate {
     /// Carries the estimate on to `now`; gives the sum of the position variances.
     #[inline(always)]
     fn predict(&mut self, config: &Config, now: u32) -> i32 {
-        let due = now.wrapping_add(PER_HALF_TURN / 2) & !(PER_HALF_TURN - 1);
+        let due = due(now);
         let mut left = due.wrapping_sub(self.spread_at) / PER_HALF_TURN;
         self.spread_at = due;
         while left > STRIDE {
@@ -206,17 +206,31 @@ impl Estimate {
     }
 
     /// Position (Q16 m), velocity (Q16 m/s) and variances of the position (Q32 m^2) at `now`, in the dark.
+    ///
+    /// The variance of one axis needs that axis alone, so nothing else is carried on.
     pub(super) fn after(&self, config: &Config, now: u32) -> ([i32; 3], [i32; 3], [i32; 3]) {
-        if now == self.at {
-            // Right at a sweep there is nothing to carry: only what its plane told is still to be taken.
-            let [xx, _, _, yy, _, zz] = self.pp;
-            let [x, y, z, ..] = self.told;
-            return self.as_reported([known(xx, x, x), known(yy, y, y), known(zz, z, z)]);
+        let [xx, _, _, yy, _, zz] = self.pp;
+        let [[xu, _, _], [_, yv, _], [_, _, zw]] = self.pv;
+        let [uu, _, _, vv, _, ww] = self.vv;
+        let [x, y, z, u, v, w] = self.told;
+        let mut position = self.position;
+        // Right at a sweep there is nothing to carry: only what its plane told is still to be taken.
+        let mut variances = [known(xx, x, x), known(yy, y, y), known(zz, z, z)];
+        if now != self.at {
+            let ahead = due(now).wrapping_sub(self.spread_at) / PER_HALF_TURN;
+            let axes = [[xx, xu, uu, x, u], [yy, yv, vv, y, v], [zz, zw, ww, z, w]];
+            variances = axes.map(|axis| variance_after(config, axis, ahead));
+            let elapsed = now.wrapping_sub(self.at).min(STRIDE * PER_HALF_TURN).cast_signed();
+            for (position, velocity) in position.iter_mut().zip(self.velocity) {
+                carry(position, velocity, elapsed);
+            }
         }
-        let mut ahead = self.clone();
-        ahead.predict(config, now);
-        let [xx, _, _, yy, _, zz] = ahead.pp;
-        ahead.as_reported([xx, yy, zz])
+        (
+            position.map(|axis| axis >> 8),
+            // 120 half turns a second.
+            self.velocity.map(|axis| axis.wrapping_mul(120) >> 6),
+            variances,
+        )
     }
 
     /// Whether `position`, Q16 m, is more than 2 m away along an axis.
@@ -224,14 +238,27 @@ impl Estimate {
         let pairs = self.position.iter().zip(position);
         pairs.into_iter().any(|(own, other)| (own >> 8).abs_diff(other) > 2 << 16)
     }
+}
 
-    fn as_reported(&self, variances: [i32; 3]) -> ([i32; 3], [i32; 3], [i32; 3]) {
-        (
-            self.position.map(|axis| axis >> 8),
-            // 120 half turns a second.
-            self.velocity.map(|axis| axis.wrapping_mul(120) >> 6),
-            variances.map(|variance| variance.max(0)),
-        )
+/// The whole half turn nearest to `now`.
+#[inline(always)]
+fn due(now: u32) -> u32 {
+    now.wrapping_add(PER_HALF_TURN / 2) & !(PER_HALF_TURN - 1)
+}
+
+/// The position's variance of one axis `left` half turns later.
+#[cold]
+#[inline(never)]
+fn variance_after(config: &Config, [mut pp, mut pv, mut vv, mut x, mut u]: [i32; 5], mut left: u32) -> i32 {
+    loop {
+        let stride = left.min(STRIDE).cast_signed();
+        let wider = spread_axis(&mut pp, &mut pv, &mut vv, [&x, &u], stride, stride.wrapping_mul(config.agility));
+        left -= stride.cast_unsigned();
+        // Beyond the limit the track is over, and further the sum would leave the 32 bits.
+        if left == 0 || wider.cast_unsigned() > config.variance_limit.cast_unsigned() {
+            return wider;
+        }
+        (x, u) = (0, 0);
     }
 }
 
@@ -303,10 +330,9 @@ struct Told {
 }
 
 impl Told {
-    /// Moves one component of the state, `DOWN` from Q29.
+    /// Moves one component of the state, `DOWN` from Q29, by its share of the surprise.
     #[inline(always)]
-    fn moves<const DOWN: u32>(&self, product: i32, told: &mut i32, state: &mut i32) {
-        let share = product >> self.down;
+    fn moves<const DOWN: u32>(&self, share: i32, told: &mut i32, state: &mut i32) {
         *told = share;
         *state = state.wrapping_sub(share.wrapping_mul(self.surprise) >> DOWN);
         home();
@@ -315,14 +341,14 @@ impl Told {
     /// A component of the position: tens to hundreds of units, so rounded down.
     #[inline(always)]
     fn moves_position(&self, covariance: i32, told: &mut i32, position: &mut i32) {
-        self.moves::<5>(covariance.wrapping_mul(self.mantissa), told, position);
+        self.moves::<5>(covariance.wrapping_mul(self.mantissa) >> self.down, told, position);
     }
 
     /// A component of the velocity: a few units, so rounded to the nearest; down would cost 2 % of accuracy.
     #[inline(always)]
     fn moves_velocity(&self, covariance: i32, told: &mut i32, velocity: &mut i32) {
-        let half = 1 << (self.down - 1);
-        self.moves::<7>(covariance.wrapping_mul(self.mantissa).wrapping_add(half), told, velocity);
+        let twice = covariance.wrapping_mul(self.mantissa) >> (self.down - 1);
+        self.moves::<7>((twice + 1) >> 1, told, velocity);
     }
 }
 
@@ -337,4 +363,41 @@ fn beyond(value: i32, bits: u32) -> bool {
 #[inline(always)]
 fn home() {
     compiler_fence(Ordering::SeqCst);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    prop_compose! {
+        /// Three axes with some covariance, and a plane that told less than is known.
+        fn estimates()(
+            position in prop::array::uniform3(-(4 << 24)..4 << 24),
+            velocity in prop::array::uniform3(-(1 << 16)..1 << 16),
+            told in prop::array::uniform6(-64..64),
+            now in any::<u32>(),
+        ) -> Estimate {
+            let config = Config::HAND_HELD;
+            let start = Estimate::at([0; 3], config.start_position, config.start_velocity, now);
+            Estimate { position, velocity, told, at: now, spread_at: due(now), ..start }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_look_ahead_is_where_the_estimate_will_be(estimate in estimates(), elapsed in 0u32..48 * PER_HALF_TURN) {
+            let config = Config::HAND_HELD;
+            let now = estimate.at.wrapping_add(elapsed);
+            let (position, velocity, variances) = estimate.after(&config, now);
+            let mut later = estimate;
+            let spread = later.predict(&config, now);
+            // Beyond that the track is over.
+            prop_assume!(spread <= config.variance_limit);
+            prop_assert_eq!(position, later.position.map(|axis| axis >> 8));
+            prop_assert_eq!(velocity, later.velocity.map(|axis| axis * 120 >> 6));
+            let [xx, _, _, yy, _, zz] = later.pp;
+            prop_assert_eq!(variances, [xx, yy, zz]);
+        }
+    }
 }

@@ -264,6 +264,18 @@ proptest! {
     }
 
     #[test]
+    fn the_fcs_is_what_the_standard_makes_of_each_bit(bytes in prop::collection::vec(any::<u8>(), 0..2 * LEN)) {
+        let mut crc = 0u16;
+        for byte in &bytes {
+            for bit in 0..8 {
+                let odd = (crc ^ u16::from(byte >> bit)) & 1 != 0;
+                crc = crc >> 1 ^ if odd { 0x8408 } else { 0 };
+            }
+        }
+        prop_assert_eq!(frame::fcs(&bytes), crc);
+    }
+
+    #[test]
     fn arbitrary_bytes_never_panic_the_parser(bytes in prop::collection::vec(any::<u8>(), 0..2 * LEN)) {
         let _ = frame::parse(&bytes);
     }

@@ -26,11 +26,12 @@ use lighthouse_mote::angle::{self, Bearing};
 use lighthouse_mote::chain::{Classifier, Seen, Sighting, Solver};
 use lighthouse_mote::edge::Edge;
 use lighthouse_mote::fix::{self, Angle, Solution};
-use lighthouse_mote::frame::{self, Header, Level, Report};
+use lighthouse_mote::frame::{self, Aligned, Header, Level, Report};
 use lighthouse_mote::pulse::{self, Pulse};
 use lighthouse_mote::sweep::{self, Axis, HalfTurn, Light, Station, Sweep};
 use lighthouse_mote::time::{Span, Ticks};
 use lighthouse_mote::track;
+use micromath::F32Ext;
 use nalgebra::RealField;
 use reference::Room;
 use semihosting::{print, println};
@@ -81,7 +82,7 @@ struct Rig {
     sighting: Sighting,
     lit: Sighting,
     report: Report,
-    frame: [u8; frame::LEN],
+    frame: Aligned,
     pulses: pulse::State,
     sweeps: sweep::State,
     angles: angle::State,
@@ -135,7 +136,7 @@ pub extern "C" fn reset() {
         sighting: Sighting { seen: Seen::Lost, edges_lost: 0, pulses_lost: 0 },
         lit: Sighting { seen: Seen::Lost, edges_lost: 0, pulses_lost: 0 },
         report: Report::default(),
-        frame: [0; frame::LEN],
+        frame: Aligned::BLANK,
         pulses: pulse::State::default(),
         sweeps: sweep::State::default(),
         angles: angle::State::default(),
@@ -352,8 +353,21 @@ pub extern "C" fn relight() {
 #[unsafe(no_mangle)]
 pub extern "C" fn stage_frame(_: u32, _: u32) -> u32 {
     let rig = rig();
-    rig.frame = frame::emit(Header { pan: PAN, mote: MOTE, sequence: rig.report.time as u16 }, &rig.report);
-    u32::from(rig.frame[0])
+    let header = Header { pan: PAN, mote: MOTE, sequence: rig.report.time as u16 };
+    frame::emit_into(&mut rig.frame, header, &rig.report);
+    u32::from(rig.frame.0[0])
+}
+
+/// A variance to a standard deviation.
+#[unsafe(no_mangle)]
+pub extern "C" fn stage_root(variance: u32, _: u32) -> u32 {
+    track::square_root(variance.cast_signed()).cast_unsigned()
+}
+
+/// The same in single precision.
+#[unsafe(no_mangle)]
+pub extern "C" fn reference_root_f32(variance: u32, _: u32) -> u32 {
+    F32Ext::sqrt(variance as f32) as u32
 }
 
 /// The paper's method in single precision; 1 when there is a position.
@@ -408,8 +422,8 @@ const WALK: [(&str, Stage, u32); 9] = [
 
 /// What the program itself does not call, so that the linker keeps it.
 #[used]
-static FOR_THE_HOST: ([extern "C" fn() -> u32; 2], [extern "C" fn(); 2], [Stage; 2]) =
-    ([pass_on, start_track], [darken, relight], [stage_classify, stage_solve]);
+static FOR_THE_HOST: ([extern "C" fn() -> u32; 2], [extern "C" fn(); 2], [Stage; 4]) =
+    ([pass_on, start_track], [darken, relight], [stage_classify, stage_solve, stage_root, reference_root_f32]);
 
 /// Ticks that so many steps take.
 #[inline(never)]

@@ -106,13 +106,19 @@ impl Capture {
 }
 
 impl Reader {
+    /// Whether there is no pulse to read.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        QUEUE.read.load(Ordering::Relaxed) == QUEUE.written.load(Ordering::Relaxed)
+    }
+
     /// The oldest pulse not yet read.
     #[inline]
     pub fn next(&mut self) -> Option<Pulse> {
-        let read = QUEUE.read.load(Ordering::Relaxed);
-        if read == QUEUE.written.load(Ordering::Relaxed) {
+        if self.is_empty() {
             return None;
         }
+        let read = QUEUE.read.load(Ordering::Relaxed);
         compiler_fence(Ordering::Acquire);
         let [rise, fall] = &QUEUE.pulses[read as usize % LEN];
         let start = Ticks(rise.load(Ordering::Relaxed));

@@ -7,8 +7,8 @@
 //! |---|---|---|---|
 //! | 4 | `rise`, `fall` | 12, 13 | stamp the light |
 //! | 3 | `classify`, `expire` | 4, 10 | pulses to sightings |
-//! | 2 | `radio`, `alarm` | 6, 7 | reports to frames on the air |
-//! | 1 | `solve` | 5 | sightings to reports |
+//! | 2 | `radio`, `alarm` | 6, 7 | frames onto the air |
+//! | 1 | `solve` | 5 | sightings to frames |
 //! | 0 | `idle` | | carries the log, sleeps |
 //!
 //! What can go wrong: each module says its own. That unwired lines can be pended is how an M0's NVIC works; it has not
@@ -21,6 +21,7 @@ mod bring_up;
 mod capture;
 mod fault;
 mod pac;
+mod queue;
 mod radio;
 mod rf_timer;
 mod stages;
@@ -38,9 +39,9 @@ mod app {
     use crate::calib::{CONFIG, MOTE, PAN};
     use crate::capture::{self, Capture};
     use crate::pac::Interrupt;
-    use crate::radio::{Buffer, Radio};
+    use crate::radio::{Frames, Radio};
     use crate::rf_timer::{self, Alarm, HEARTBEAT};
-    use crate::stages::{Classify, Reports, Sightings, Solve};
+    use crate::stages::{Classify, Sightings, Solve};
     use crate::{bring_up, fault, uart_log};
 
     #[shared]
@@ -60,8 +61,7 @@ mod app {
 
     #[init(local = [
         sightings: Sightings = Sightings::new(),
-        reports: Reports = Reports::new(),
-        buffer: Buffer = Buffer::new(),
+        frames: Frames = Frames::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         bring_up::chip();
@@ -71,15 +71,11 @@ mod app {
 
         let (capture, pulses) = capture::start();
         let (to_solve, sightings) = cx.local.sightings.split();
-        let (to_radio, reports) = cx.local.reports.split();
+        let (to_radio, frames) = cx.local.frames.split();
         let header = Header { pan: PAN, mote: MOTE, sequence: 0 };
         (
-            Shared {
-                capture,
-                classify: Classify::new(pulses, to_solve),
-                radio: Radio::new(reports, cx.local.buffer, header),
-            },
-            Local { solve: Solve::new(sightings, to_radio) },
+            Shared { capture, classify: Classify::new(pulses, to_solve), radio: Radio::new(frames) },
+            Local { solve: Solve::new(sightings, to_radio, header) },
         )
     }
 
@@ -96,8 +92,12 @@ mod app {
 
     #[task(binds = SOFT4, priority = 3, shared = [classify])]
     fn classify(cx: classify::Context) {
-        if cx.shared.classify.run(&CONFIG) {
+        let done = cx.shared.classify.run(&CONFIG);
+        if done.passed_on {
             rtic::pend(Interrupt::SOFT5);
+        }
+        if done.more {
+            rtic::pend(Interrupt::SOFT4);
         }
     }
 
@@ -110,8 +110,12 @@ mod app {
 
     #[task(binds = SOFT5, priority = 1, local = [solve])]
     fn solve(cx: solve::Context) {
-        if cx.local.solve.run(&CONFIG) {
+        let done = cx.local.solve.run(&CONFIG);
+        if done.passed_on {
             rtic::pend(Interrupt::RF);
+        }
+        if done.more {
+            rtic::pend(Interrupt::SOFT5);
         }
     }
 
@@ -135,7 +139,7 @@ mod app {
     #[idle]
     fn idle(_: idle::Context) -> ! {
         loop {
-            uart_log::drain();
+            uart_log::carry();
             cortex_m::asm::wfi();
         }
     }

@@ -141,6 +141,17 @@ pub mod nvic {
     pub const ICPR: Reg<0xe000_e280> = Reg(());
 }
 
+/// The system control block (ARMv6-M ARM, B3.2.7).
+pub mod scb {
+    use super::Reg;
+
+    /// How the core sleeps.
+    pub const SCR: Reg<0xe000_ed10> = Reg(());
+
+    /// A handler that would return to `idle` sleeps instead.
+    pub const SLEEP_ON_EXIT: u32 = 1 << 1;
+}
+
 /// The radio controller (`memory_map.h:25-79`).
 pub mod rf {
     use super::Reg;

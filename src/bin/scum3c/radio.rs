@@ -1,7 +1,7 @@
-//! Reports onto the air, one frame at a time, without ever waiting in a loop.
+//! Frames onto the air, one at a time, without ever waiting in a loop.
 //!
 //! ```text
-//! off --report--> settling --alarm--> sending --done--> off
+//! off --frame--> settling --alarm--> sending --done--> off
 //! ```
 //!
 //! The order of the register writes is that of the SCuM-3C test code (`lighthouse.c:378-411`): supplies, frame,
@@ -12,11 +12,11 @@
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 
-use heapless::spsc::Consumer;
-use lighthouse_mote::frame::{self, Header, Report};
+use lighthouse_mote::frame::{self, Aligned};
 use lighthouse_mote::time::Span;
 
 use crate::pac::{analog, rf};
+use crate::queue::{Queue, Reader};
 use crate::rf_timer::{self, Alarm};
 
 /// Supplies and frame need 50 us before the send (`radio.c:176`): 1000 ticks are that even at twice 10 MHz.
@@ -64,16 +64,10 @@ pub fn lost() -> u16 {
     LOST.load(Ordering::Relaxed)
 }
 
-/// A frame where the controller's DMA can read it: on a word (`radio.c`, radio_tx_buffer).
-#[repr(align(4))]
-pub struct Buffer([u8; frame::LEN]);
-
-impl Buffer {
-    /// Nothing yet.
-    pub const fn new() -> Self {
-        Self([0; frame::LEN])
-    }
-}
+/// Frames that may wait, the one on the air among them.
+pub const FRAMES: usize = 4;
+/// The memory for them, where the controller's DMA can read it: on a word (`radio.c`, radio_tx_buffer).
+pub type Frames = Queue<Aligned, FRAMES>;
 
 /// What the radio is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,35 +80,33 @@ enum State {
 /// The transmitter and its queue.
 pub struct Radio {
     state: State,
-    reports: Consumer<'static, Report>,
-    buffer: &'static mut Buffer,
-    header: Header,
+    /// The oldest is the one on the air.
+    frames: Reader<Aligned, FRAMES>,
 }
 
 impl Radio {
-    /// Off, sending as `header` says, its sequence the first.
-    pub fn new(reports: Consumer<'static, Report>, buffer: &'static mut Buffer, header: Header) -> Self {
+    /// Off.
+    pub fn new(frames: Reader<Aligned, FRAMES>) -> Self {
         rf::CONTROL.write(rf::RESET);
         rf::INT_CLEAR.write(rf::ALL);
         rf::ERROR_CLEAR.write(rf::ALL);
         rf::INT_CONFIG.write(rf::TX_SEND_DONE);
         supplies_off();
-        Self { state: State::Off, reports, buffer, header }
+        Self { state: State::Off, frames }
     }
 
-    /// The controller's interrupt, or a report has come.
+    /// The controller's interrupt, or a frame has come.
     pub fn step(&mut self) {
         let done = rf::INT.read();
         rf::INT_CLEAR.write(done);
         if done & rf::TX_SEND_DONE != 0 && self.state == State::Sending {
-            rf_timer::disarm(Alarm::Radio);
-            supplies_off();
-            self.state = State::Off;
+            self.rest();
         }
         if self.state == State::Off
-            && let Some(report) = self.reports.dequeue()
+            && let Some(frame) = self.frames.oldest()
         {
-            self.load(&report);
+            load(frame);
+            self.state = State::Settling;
         }
     }
 
@@ -130,30 +122,34 @@ impl Radio {
             State::Sending => {
                 LOST.store(LOST.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
                 rf::CONTROL.write(rf::RESET);
-                rf_timer::disarm(Alarm::Radio);
-                supplies_off();
-                self.state = State::Off;
+                self.rest();
                 self.step();
             }
         }
     }
 
-    fn load(&mut self, report: &Report) {
-        analog::REG10.write(SUPPLIES_TX);
-        analog::REG16.write(RECEIVER_OFF);
-        self.buffer.0 = frame::emit(self.header, report);
-        self.header.sequence = self.header.sequence.wrapping_add(1);
-        // The controller reads the buffer behind the compiler's back.
-        fence(Ordering::SeqCst);
-        rf::TX_DATA_ADDR.write(self.buffer.0.as_ptr().expose_provenance() as u32);
-        rf::TX_PACK_LEN.write(frame::LEN as u32);
-        rf::CONTROL.write(rf::TX_LOAD);
-        let (most, last) = const { Channel::DEFAULT.registers() };
-        analog::REG7.write(most);
-        analog::REG8.write(last);
-        rf_timer::arm(Alarm::Radio, SETTLE);
-        self.state = State::Settling;
+    /// Is done with the frame on the air.
+    fn rest(&mut self) {
+        rf_timer::disarm(Alarm::Radio);
+        supplies_off();
+        self.frames.pop();
+        self.state = State::Off;
     }
+}
+
+/// Everything up to the send.
+fn load(frame: &Aligned) {
+    analog::REG10.write(SUPPLIES_TX);
+    analog::REG16.write(RECEIVER_OFF);
+    // The controller reads the frame behind the compiler's back.
+    fence(Ordering::SeqCst);
+    rf::TX_DATA_ADDR.write(frame.0.as_ptr().expose_provenance() as u32);
+    rf::TX_PACK_LEN.write(frame::LEN as u32);
+    rf::CONTROL.write(rf::TX_LOAD);
+    let (most, last) = const { Channel::DEFAULT.registers() };
+    analog::REG7.write(most);
+    analog::REG8.write(last);
+    rf_timer::arm(Alarm::Radio, SETTLE);
 }
 
 fn supplies_off() {

@@ -27,9 +27,11 @@ const REFERENCE_POINTS: usize = 24;
 const NOISE_DEG: f64 = 0.2;
 /// How far a reference may be from the fix, m: another estimator, same angles, noise included.
 const SAME_M: f64 = 0.15;
+/// How far apart two roots may be, of their size: micromath's is rough.
+const SAME_ROOT: f64 = 0.07;
 
 /// What is counted, the function that is called, and what to call it in the table.
-pub(super) const STAGES: [(&str, &str, &str); 16] = [
+pub(super) const STAGES: [(&str, &str, &str); 18] = [
     ("empty", "stage_empty", "a call of nothing"),
     ("pulse", "stage_pulse", "pulse, both edges"),
     ("sweep_sync", "stage_sweep", "sweep, a flash"),
@@ -43,6 +45,8 @@ pub(super) const STAGES: [(&str, &str, &str); 16] = [
     ("classify_laser", "stage_classify", "first half at once, a laser"),
     ("solve", "stage_solve", "second half at once, a laser"),
     ("solve_report", "stage_solve", "second half at once, and a report"),
+    ("root", "stage_root", "square root"),
+    ("root_f32", "reference_root_f32", "square root, micromath f32"),
     ("svd_f32", "reference_svd_f32", "paper's 4x4 SVD, nalgebra f32"),
     ("svd_f64", "reference_svd_f64", "paper's 4x4 SVD, nalgebra f64"),
     ("normal_f32", "reference_normal_f32", "normal equations, nalgebra f32"),
@@ -236,6 +240,14 @@ fn at_points(rig: &mut Rig, calibration: &Calibration, count: &mut impl FnMut(&'
         let fix = rig.call("stage_fix", &[])?;
         ensure!(fix.r0 == 1, "no fix at {point:?}");
         count("fix", fix);
+        // 12 to 15 bits.
+        let variance = (((0.1 + 0.9 * random.uniform()) * 32768.0).powi(2)) as u32;
+        let [root, reference] = ["stage_root", "reference_root_f32"].map(|name| rig.call(name, &[variance]));
+        let (root, reference) = (root?, reference?);
+        let apart = f64::from(root.r0.abs_diff(reference.r0)) / f64::from(variance).sqrt();
+        ensure!(apart < SAME_ROOT, "the root of {variance} is {}, or else {}", root.r0, reference.r0);
+        count("root", root);
+        count("root_f32", reference);
         if n >= REFERENCE_POINTS {
             continue;
         }

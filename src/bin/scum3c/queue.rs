@@ -1,0 +1,123 @@
+//! A queue from one priority to another whose oldest entry is used where it lies.
+//!
+//! The transmitter sends a frame right out of it. A general queue copies once more, puts barriers around its indices
+//! and divides by its length, for which the core has no instruction.
+//!
+//! What can go wrong: the queue is full; the writer is told, and drops what it has.
+
+use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
+
+use lighthouse_mote::frame::Aligned;
+
+/// Room for `N` entries, a power of two.
+#[repr(C)]
+pub struct Queue<T, const N: usize> {
+    /// Entries ever written, wrapping. The writer's.
+    written: AtomicU32,
+    /// Entries ever read, wrapping. The reader's.
+    read: AtomicU32,
+    entries: UnsafeCell<[MaybeUninit<T>; N]>,
+}
+
+// SAFETY: `split` makes one writer and one reader. Entries from `read` up to `written` are the reader's, all others the
+// writer's; each moves its own count only when it is done with an entry, and the fences keep the compiler to that
+// order. On one core the order of the instructions is the order of the accesses.
+unsafe impl<T: Send, const N: usize> Sync for Queue<T, N> {}
+
+/// What may be made of zeros.
+///
+/// # Safety
+/// All bytes zero are a value of it.
+pub unsafe trait Zeros {}
+
+// SAFETY: it is bytes, and any will do.
+unsafe impl Zeros for Aligned {}
+
+/// The writer's end.
+pub struct Writer<T: 'static, const N: usize>(&'static Queue<T, N>);
+
+/// The reader's end.
+pub struct Reader<T: 'static, const N: usize>(&'static Queue<T, N>);
+
+impl<T: Copy, const N: usize> Queue<T, N> {
+    /// Empty.
+    pub const fn new() -> Self {
+        const { assert!(N.is_power_of_two(), "the index is a mask") };
+        let entries = UnsafeCell::new([const { MaybeUninit::zeroed() }; N]);
+        Self { written: AtomicU32::new(0), read: AtomicU32::new(0), entries }
+    }
+
+    /// The two ends.
+    pub fn split(&'static mut self) -> (Writer<T, N>, Reader<T, N>) {
+        (Writer(self), Reader(self))
+    }
+
+    #[inline(always)]
+    fn entry(&self, count: u32) -> *mut MaybeUninit<T> {
+        // SAFETY: the remainder is below `N`.
+        unsafe { self.entries.get().cast::<MaybeUninit<T>>().add(count as usize % N) }
+    }
+}
+
+impl<T: Copy, const N: usize> Writer<T, N> {
+    /// Appends `entry`; false where there is no room for it.
+    #[inline(always)]
+    #[must_use]
+    pub fn push(&mut self, entry: T) -> bool {
+        self.append(|place| {
+            place.write(entry);
+        })
+    }
+
+    /// Appends what `fill` makes of an old entry or of zeros; false where there is no room for it.
+    #[inline(always)]
+    #[must_use]
+    pub fn fill(&mut self, fill: impl FnOnce(&mut T)) -> bool
+    where
+        T: Zeros,
+    {
+        // SAFETY: the place holds what was once written to it or, before that, zeros, which are a value as `Zeros` says.
+        self.append(|place| fill(unsafe { place.assume_init_mut() }))
+    }
+
+    /// Appends what `write` leaves in its place, which is to be a value.
+    #[inline(always)]
+    fn append(&mut self, write: impl FnOnce(&mut MaybeUninit<T>)) -> bool {
+        let written = self.0.written.load(Ordering::Relaxed);
+        if written.wrapping_sub(self.0.read.load(Ordering::Relaxed)) >= N as u32 {
+            return false;
+        }
+        compiler_fence(Ordering::Acquire);
+        // SAFETY: not between `read` and `written`, so the writer's, and there is one writer, borrowed.
+        write(unsafe { &mut *self.0.entry(written) });
+        compiler_fence(Ordering::Release);
+        self.0.written.store(written.wrapping_add(1), Ordering::Relaxed);
+        true
+    }
+}
+
+impl<T: Copy, const N: usize> Reader<T, N> {
+    /// The oldest entry.
+    #[inline(always)]
+    pub fn oldest(&self) -> Option<&T> {
+        let read = self.0.read.load(Ordering::Relaxed);
+        if read == self.0.written.load(Ordering::Relaxed) {
+            return None;
+        }
+        compiler_fence(Ordering::Acquire);
+        // SAFETY: between `read` and `written`, so it was written, and nobody writes it before `pop`, which borrows.
+        Some(unsafe { (*self.0.entry(read)).assume_init_ref() })
+    }
+
+    /// Is done with the oldest entry, if there is one.
+    #[inline(always)]
+    pub fn pop(&mut self) {
+        let read = self.0.read.load(Ordering::Relaxed);
+        if read != self.0.written.load(Ordering::Relaxed) {
+            compiler_fence(Ordering::Release);
+            self.0.read.store(read.wrapping_add(1), Ordering::Relaxed);
+        }
+    }
+}

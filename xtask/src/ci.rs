@@ -7,6 +7,7 @@ use anyhow::Result;
 
 use crate::bench::{self, bench};
 use crate::process::{cargo, run};
+use crate::scenes::{self, scenes};
 use crate::setup;
 use crate::test::{Tally, run_all};
 
@@ -24,7 +25,7 @@ const BOARDS: [Board; 3] = [
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
 
-/// Runs formatting, lints, tests and the bench, and closes with how many passed.
+/// Runs formatting, lints, tests, the bench and the scenes, and closes with how many passed.
 pub(crate) fn ci() -> Result<()> {
     let mut tally = Tally::default();
     tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
@@ -36,6 +37,7 @@ pub(crate) fn ci() -> Result<()> {
     }
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
+    tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
     tally.close()
 }
 

@@ -29,6 +29,20 @@ pub struct Station {
     pub info: Info,
     /// When something stands between it and the mote.
     pub occlusions: Vec<Occlusion>,
+    /// Somebody knocks against it.
+    pub moved: Option<Moved>,
+}
+
+/// A station that stands elsewhere from some moment on.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Moved {
+    /// From this true time on, seconds.
+    pub at_s: f64,
+    /// Where to, metres from where it was.
+    pub by_m: [f64; 3],
+    /// How far it turns about its own y, degrees.
+    pub turn_deg: f64,
 }
 
 /// Something stands in the direct line from a station to the mote for a while.
@@ -104,6 +118,21 @@ impl Station {
         let [x, y, z] = self.rotation.map(Vector3::from);
         let crossed = (x.cross(&y) - z).norm();
         (x.norm() - 1.0).abs() < 1e-6 && (y.norm() - 1.0).abs() < 1e-6 && x.dot(&y).abs() < 1e-6 && crossed < 1e-6
+    }
+
+    /// The station as it stands once it has been moved, if it is.
+    #[must_use]
+    pub fn after_its_move(&self) -> Option<Station> {
+        let Moved { by_m, turn_deg, .. } = self.moved?;
+        let (sin, cos) = (libm::sin(turn_deg.to_radians()), libm::cos(turn_deg.to_radians()));
+        let [x, y, z] = self.rotation;
+        let mix = |a: [f64; 3], p: f64, b: [f64; 3], q: f64| core::array::from_fn(|k| p * a[k] + q * b[k]);
+        Some(Station {
+            rotation: [mix(x, cos, z, -sin), y, mix(x, sin, z, cos)],
+            position_m: core::array::from_fn(|k| self.position_m[k] + by_m[k]),
+            moved: None,
+            ..self.clone()
+        })
     }
 
     /// Whether the direct flash is blocked at a true time.
@@ -189,6 +218,21 @@ mod tests {
         let sight = ahead([0.0, 0.0, 1e-9]);
         let width_us = sight.sweep_width_us(Axis::Elevation, &Optics::default(), HALF_TURN_S);
         assert!(width_us < 160.0);
+    }
+
+    #[test]
+    fn a_station_that_was_turned_looks_elsewhere_and_is_still_a_station() {
+        let eye = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let moved = Some(Moved { at_s: 1.0, by_m: [0.1, 0.0, 0.0], turn_deg: 5.0 });
+        let station = Station { rotation: eye, moved, ..Station::default() };
+        let after = station.after_its_move().expect("it moves");
+        assert!(after.is_rigid());
+        assert_eq!(after.position_m, [0.1, 0.0, 0.0]);
+        let angle = |station: &Station| {
+            let (tan, _) = station.sight(Vector3::new(0.1, 0.0, 1.0)).tangents(Axis::Azimuth).expect("ahead");
+            libm::atan(tan).to_degrees()
+        };
+        assert!((angle(&after) + 5.0).abs() < 1e-9, "{}", angle(&after));
     }
 
     #[test]

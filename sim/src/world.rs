@@ -184,8 +184,7 @@ impl World {
         }
         let min_width_s = self.scene.receiver.min_width_us * 1e-6;
         loop {
-            let light = self.next_pulse()?;
-            let pulse = self.scene.line_faults.iter().fold(light, |pulse, fault| fault.pass(pulse));
+            let pulse = self.next_pulse()?;
             if pulse.fall_s - pulse.rise_s >= min_width_s {
                 let rise = self.oscillator.cycle(pulse.rise_s).max(self.free);
                 let fall = self.oscillator.cycle(pulse.fall_s).max(rise + 1);
@@ -372,7 +371,9 @@ impl World {
         let from_s = if slot == 0 { 0.0 } else { self.scene.timing.start_s(slot) };
         let to_s = self.scene.timing.start_s(slot + 1);
         for strobe in &self.scene.strobes {
-            strobe.bursts(from_s, to_s).for_each(|burst| insert(&mut self.ahead, burst));
+            for burst in strobe.bursts(from_s, to_s) {
+                light(&self.scene, &mut self.ahead, burst);
+            }
         }
         for fault in &self.scene.line_faults {
             fault.pulses(from_s, to_s).into_iter().for_each(|pulse| insert(&mut self.ahead, pulse));
@@ -393,7 +394,7 @@ impl World {
             if rise_s >= end_s {
                 break;
             }
-            insert(&mut self.ahead, Pulse { rise_s, fall_s: rise_s + width_us * 1e-6 });
+            light(&self.scene, &mut self.ahead, Pulse { rise_s, fall_s: rise_s + width_us * 1e-6 });
         }
     }
 
@@ -439,7 +440,7 @@ impl World {
             log.push(Event { cycle: self.oscillator.cycle(at_s), seen: received.is_some(), kind });
         }
         if let Some(pulse) = received {
-            insert(&mut self.ahead, pulse);
+            light(&self.scene, &mut self.ahead, pulse);
         }
     }
 
@@ -458,6 +459,14 @@ impl Loop {
     fn bit(&self, slot: u64) -> bool {
         let length = self.bits.len() as u64;
         self.bits[((self.first as u64 + slot) % length) as usize]
+    }
+}
+
+/// Sends light down the line.
+fn light(scene: &Scene, ahead: &mut Vec<Pulse>, pulse: Pulse) {
+    let pulse = scene.line_faults.iter().fold(pulse, |pulse, fault| fault.pass(pulse));
+    if pulse.fall_s > pulse.rise_s {
+        insert(ahead, pulse);
     }
 }
 

@@ -2,7 +2,8 @@
 //!
 //! Scenes are deterministic, so every figure is compared exactly with `tests/expected/scenes.txt`. The promises hold
 //! whatever that file says: no crash, no fix of level full that is wrong, a good fix soon after the light is back. What
-//! breaks one today stands in [`UNTIL_MET`]; taking it from there is part of mending it.
+//! breaks one today stands in [`UNTIL_MET`]; taking it from there is part of mending it. What no firmware could keep
+//! stands in [`LIMITS`].
 //!
 //! What can go wrong: a figure is not what is expected, a promise is broken that was not, or one holds that
 //! [`UNTIL_MET`] says is broken. Each is named, and the exit is not zero.
@@ -57,8 +58,23 @@ const EXPECTED: &str = "tests/expected/scenes.txt";
 /// Where the results go.
 const OUT: &str = "target/scenes";
 
-/// Promises that the firmware breaks as it is, by scene.
-const UNTIL_MET: &[(&str, Promise)] = &[];
+/// Promises that the firmware breaks as it is, by scene, with the reason.
+const UNTIL_MET: [(&str, Promise); 2] = [
+    // The first pulse of a slot that could be a sweep is taken for it. Mirrored ones that come before it agree with each
+    // other, so the tracker starts anew at their fixes.
+    ("reflections", Promise::NoWrongGood),
+    // The same with pulses at random; each spoils an angle or a start of the tracker.
+    ("remote-control", Promise::NoWrongGood),
+];
+
+/// Promises that no mote with one photodiode and two stations can keep, by scene.
+const LIMITS: [(&str, Promise); 2] = [
+    // The station stays in the plane through both stations and the mote, or turns within it: the rays still meet, at
+    // another place. Nothing in four angles tells that place from the true one. Where the rays miss each other, as in
+    // the scenes moved-up and moved-tilted, the mote says nothing.
+    ("moved-10cm", Promise::NoWrongGood),
+    ("moved-turned-5deg", Promise::NoWrongGood),
+];
 
 /// An image and the strings of its log.
 #[derive(Clone, Copy)]
@@ -109,7 +125,7 @@ pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
         .fold(format!("{HEADING}\n"), |text, (named, figures)| text + line(&named.name, figures).trim_end() + "\n")
         + &curves.to_string();
     let broken: Vec<_> = rows.iter().map(|(named, figures)| (named.name.as_str(), figures.broken())).collect();
-    let kept = promises(&broken, UNTIL_MET);
+    let kept = promises(&broken, &[&UNTIL_MET[..], &LIMITS[..]].concat());
     let expected = root().join(EXPECTED);
     if arguments.bless {
         if let Some(folder) = expected.parent() {
@@ -335,7 +351,7 @@ fn promises(broken: &[(&str, Vec<Promise>)], until_met: &[(&str, Promise)]) -> R
     }
     for (scene, promise) in until_met {
         if !broken.iter().any(|(name, promises)| name == scene && promises.contains(promise)) {
-            let _ = write!(wrong, "\n  {scene}: {promise} holds; take it out of UNTIL_MET");
+            let _ = write!(wrong, "\n  {scene}: {promise} holds; take it from those known to be broken");
         }
     }
     ensure!(wrong.is_empty(), "promises:{wrong}");
@@ -380,7 +396,7 @@ mod tests {
     #[test]
     fn every_exception_is_of_a_scene_there_is() {
         let all = list::all();
-        for (scene, _) in UNTIL_MET {
+        for (scene, _) in UNTIL_MET.iter().chain(&LIMITS) {
             assert!(all.iter().any(|named| named.name == *scene), "{scene}");
         }
     }

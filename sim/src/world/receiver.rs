@@ -137,7 +137,7 @@ pub enum Line {
     StuckHigh,
     /// Says dark, whatever there is.
     StuckLow,
-    /// Oscillates.
+    /// Oscillates, whatever there is.
     Storm {
         /// Periods, of one rise and one fall, per second.
         hz: f64,
@@ -158,9 +158,9 @@ impl LineFault {
         }
     }
 
-    /// What is left of a pulse.
+    /// What is left of light: a line that is stuck low or oscillates does not pass it on.
     pub(super) fn pass(&self, mut pulse: Pulse) -> Pulse {
-        if self.line == Line::StuckLow {
+        if self.line != Line::StuckHigh {
             let dark = self.from_s..self.to_s;
             if dark.contains(&pulse.rise_s) {
                 pulse.rise_s = self.to_s;

@@ -41,8 +41,10 @@ pub struct Moved {
     pub at_s: f64,
     /// Where to, metres from where it was.
     pub by_m: [f64; 3],
-    /// How far it turns about its own y, degrees.
+    /// How far it turns about its own y, degrees: to look further to its right.
     pub turn_deg: f64,
+    /// How far it then tilts about its own x, degrees: to look further up.
+    pub tilt_deg: f64,
 }
 
 /// Something stands in the direct line from a station to the mote for a while.
@@ -123,12 +125,18 @@ impl Station {
     /// The station as it stands once it has been moved, if it is.
     #[must_use]
     pub fn after_its_move(&self) -> Option<Station> {
-        let Moved { by_m, turn_deg, .. } = self.moved?;
-        let (sin, cos) = (libm::sin(turn_deg.to_radians()), libm::cos(turn_deg.to_radians()));
+        let Moved { by_m, turn_deg, tilt_deg, .. } = self.moved?;
         let [x, y, z] = self.rotation;
-        let mix = |a: [f64; 3], p: f64, b: [f64; 3], q: f64| core::array::from_fn(|k| p * a[k] + q * b[k]);
+        // Two axes of the station, the second turned towards the first.
+        let towards = |forward: [f64; 3], other: [f64; 3], deg: f64| {
+            let (sin, cos) = (libm::sin(deg.to_radians()), libm::cos(deg.to_radians()));
+            let mix = |a: [f64; 3], p: f64, b: [f64; 3], q: f64| core::array::from_fn(|k| p * a[k] + q * b[k]);
+            (mix(forward, cos, other, sin), mix(other, cos, forward, -sin))
+        };
+        let (z, x) = towards(z, x, turn_deg);
+        let (z, y) = towards(z, y, tilt_deg);
         Some(Station {
-            rotation: [mix(x, cos, z, -sin), y, mix(x, sin, z, cos)],
+            rotation: [x, y, z],
             position_m: core::array::from_fn(|k| self.position_m[k] + by_m[k]),
             moved: None,
             ..self.clone()
@@ -223,16 +231,16 @@ mod tests {
     #[test]
     fn a_station_that_was_turned_looks_elsewhere_and_is_still_a_station() {
         let eye = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let moved = Some(Moved { at_s: 1.0, by_m: [0.1, 0.0, 0.0], turn_deg: 5.0 });
+        let moved = Some(Moved { at_s: 1.0, by_m: [0.1, 0.0, 0.0], turn_deg: 5.0, tilt_deg: 3.0 });
         let station = Station { rotation: eye, moved, ..Station::default() };
         let after = station.after_its_move().expect("it moves");
         assert!(after.is_rigid());
         assert_eq!(after.position_m, [0.1, 0.0, 0.0]);
-        let angle = |station: &Station| {
-            let (tan, _) = station.sight(Vector3::new(0.1, 0.0, 1.0)).tangents(Axis::Azimuth).expect("ahead");
-            libm::atan(tan).to_degrees()
-        };
-        assert!((angle(&after) + 5.0).abs() < 1e-9, "{}", angle(&after));
+        // What is straight ahead of it now lies to the right and up: right-handed with x right, y up, z forward.
+        let (turn, tilt) = (5f64.to_radians(), 3f64.to_radians());
+        let ahead = Vector3::new(turn.sin() * tilt.cos(), tilt.sin(), turn.cos() * tilt.cos());
+        let sight = after.sight(Vector3::new(0.1, 0.0, 0.0) + ahead).c_m;
+        assert!((sight - Vector3::z()).norm() < 1e-12, "{sight}");
     }
 
     #[test]

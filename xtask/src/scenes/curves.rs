@@ -2,7 +2,7 @@
 //! incidence, as the 2020 paper's figures 10 and 11 show for the chip.
 //!
 //! # Design
-//! Both are measured from what the mote reports, in a room of their own: two stations side by side a metre apart look
+//! Both are measured from what the mote reports, in a room of their own: two stations side by side two metres apart look
 //! along a corridor. The mote lies still on the middle line; it looks at the stations for the range, and away from them
 //! more and more for the incidence. Reports come at every sweep.
 //!
@@ -31,13 +31,13 @@ use crate::process::root;
 use crate::run::Log;
 
 /// The stations' distance from the middle line, metres.
-const ASIDE_M: f64 = 0.5;
+const ASIDE_M: f64 = 1.0;
 /// How long the mote lies at each place, seconds; the first of them are for the lock.
 const EACH_S: f64 = 6.0;
 const SETTLED_S: f64 = 1.0;
 /// Straight-on light is at the threshold at 5 m, where the makers' range ends; 10 % from pulse to pulse.
 const SENSITIVITY: Sensitivity = Sensitivity { reach_m: 5.0, spread: 0.1 };
-/// Where the mote lies for the incidence: light is there 4.7 times what is needed, straight on.
+/// Where the mote lies for the incidence: light is there four times what is needed, straight on.
 const INCIDENCE_AT_M: f64 = 2.25;
 /// A report this close to a sweep is of that sweep, seconds.
 const SAME_S: f64 = 50e-6;
@@ -94,10 +94,10 @@ fn distance_m(z_m: f64) -> f64 {
 /// The corridor as a calibration.
 const CORRIDOR: &str = "\
 [provenance]
-what = \"A simulated corridor: two stations a metre apart look along it\"
+what = \"A simulated corridor: two stations two metres apart look along it\"
 
 [room]
-min = [-0.2, 0.8, 0.4]
+min = [-0.2, 0.8, 0.9]
 max = [0.2, 1.2, 6.2]
 
 [mote]
@@ -109,11 +109,11 @@ max_angle_age_ms = 100
 
 [station.A]
 rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-position = [-0.5, 1.0, 0.0]
+position = [-1.0, 1.0, 0.0]
 
 [station.B]
 rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-position = [0.5, 1.0, 0.0]
+position = [1.0, 1.0, 0.0]
 ";
 
 /// Measures both.
@@ -124,9 +124,9 @@ pub(super) fn measure() -> Result<Curves> {
     std::fs::write(&calib, CORRIDOR).with_context(|| calib.display().to_string())?;
     let elf = firmware::scum3c(&calib, "")?;
     let image = Image { elf: &elf, strings: Log::strings(&elf)? };
-    let ranges_m = (2..=24).map(|n| 0.25 * f64::from(n));
+    let ranges_m = (4..=24).map(|n| 0.25 * f64::from(n));
     let least_deg = (INCIDENCE_AT_M / distance_m(INCIDENCE_AT_M)).acos().to_degrees();
-    let incidences_deg = std::iter::once(least_deg.ceil()).chain((3..=17).map(|n| 5.0 * f64::from(n)));
+    let incidences_deg = std::iter::once(least_deg.ceil()).chain((6..=17).map(|n| 5.0 * f64::from(n)));
     Ok(Curves {
         range: curve(image, "range", "m", ranges_m.map(|z_m| (distance_m(z_m), scene(z_m, 0.0))).collect())?,
         incidence: curve(
@@ -207,7 +207,7 @@ impl Curves {
             (&self.range, "Light against distance", "distance from both stations / m"),
             (
                 &self.incidence,
-                "Light against incidence, at 2.3 m",
+                "Light against incidence, 2.5 m from both stations",
                 "angle between where the mote looks and the stations / degrees",
             ),
         ] {
@@ -243,7 +243,7 @@ mod tests {
 
     #[test]
     fn the_mote_looks_as_far_aside_as_asked() {
-        for asked in [20.0, 45.0, 80.0] {
+        for asked in [25.0, 45.0, 80.0] {
             let scene = scene(INCIDENCE_AT_M, asked);
             let normal = scene.receiver.facing.expect("it looks somewhere").normal;
             for x in [-ASIDE_M, ASIDE_M] {

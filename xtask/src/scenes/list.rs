@@ -16,6 +16,8 @@ const CYCLE_S: f64 = 4.0 / 120.0;
 const PHASES: u32 = 64;
 /// What is disturbed is disturbed from here on: lock and track are settled, seconds.
 const SETTLED_S: f64 = 3.0;
+/// Walks of most scenes.
+const WALKS: u64 = 5;
 /// The first flash where the timer is set before it, seconds: bring-up is over.
 const LATE_FIRST_SYNC_S: f64 = 0.05;
 
@@ -46,15 +48,19 @@ fn take(length_s: f64, seed: u64) -> Take {
     Take { scene, seed, first_light_s, due_again_s: Vec::new(), wrap_s: None }
 }
 
-fn one(name: &str, what: &str, length_s: f64, change: impl FnOnce(&mut Take)) -> Named {
-    let mut take = take(length_s, 1);
-    change(&mut take);
-    Named { name: name.to_string(), what: what.to_string(), takes: vec![take] }
+/// A scene on several walks.
+fn walks(name: &str, what: &str, length_s: f64, change: impl Fn(&mut Take)) -> Named {
+    let changed = |seed| {
+        let mut take = take(length_s, seed);
+        change(&mut take);
+        take
+    };
+    Named { name: name.to_string(), what: what.to_string(), takes: (1..=WALKS).map(changed).collect() }
 }
 
 /// All of them, in the order of the table.
 pub(super) fn all() -> Vec<Named> {
-    let mut all = vec![one("light", "the default room, undisturbed", 30.0, |_| {})];
+    let mut all = vec![walks("light", "the default room, undisturbed", 30.0, |_| {})];
     occlusions(&mut all);
     receivers(&mut all);
     strangers(&mut all);
@@ -63,6 +69,11 @@ pub(super) fn all() -> Vec<Named> {
     starts(&mut all);
     clocks(&mut all);
     all
+}
+
+/// When a take is disturbed: in another phase of the cycle for each walk.
+fn settled_s(take: &Take) -> f64 {
+    SETTLED_S + 7.3e-3 * take.seed as f64
 }
 
 fn occlusions(all: &mut Vec<Named>) {
@@ -77,14 +88,19 @@ fn occlusions(all: &mut Vec<Named>) {
             let name = format!("occlusion-{name}-{long}");
             let what =
                 format!("all light of {} away for {dark_s} s, {times} times", &name[10..name.len() - long.len() - 1]);
-            all.push(one(&name, &what, SETTLED_S + f64::from(times) * (dark_s + pause_s), |take| {
+            all.push(walks(&name, &what, SETTLED_S + f64::from(times) * (dark_s + pause_s), |take| {
                 hide(take, stations, Hides::Everything, dark_s, pause_s, times);
             }));
         }
     }
-    all.push(one("occlusion-sweeps-1s", "the sweeps of both away for 1 s, 4 times; the flashes go on", 15.1, |take| {
-        hide(take, who[2].1, Hides::Sweeps, 1.0, 2.011, 4);
-    }));
+    all.push(walks(
+        "occlusion-sweeps-1s",
+        "the sweeps of both away for 1 s, 4 times; the flashes go on",
+        15.1,
+        |take| {
+            hide(take, who[2].1, Hides::Sweeps, 1.0, 2.011, 4);
+        },
+    ));
 }
 
 fn hide(
@@ -95,7 +111,8 @@ fn hide(
     pause_s: f64,
     times: u32,
 ) {
-    let starts_s = (0..times).map(|n| SETTLED_S + f64::from(n) * (dark_s + pause_s));
+    let settled_s = settled_s(take);
+    let starts_s = (0..times).map(|n| settled_s + f64::from(n) * (dark_s + pause_s));
     let occlusions: Vec<_> = starts_s.map(|from_s| Occlusion { from_s, to_s: from_s + dark_s, hides }).collect();
     take.due_again_s = occlusions.iter().map(|occlusion| occlusion.to_s).collect();
     for station in stations(&mut take.scene) {
@@ -117,7 +134,7 @@ pub(super) fn mirrors() -> Vec<Mirror> {
 }
 
 fn receivers(all: &mut Vec<Named>) {
-    all.push(one(
+    all.push(walks(
         "reflections",
         "a fifth of the sweeps with a mirrored one, before or after, a quarter of those alone",
         30.0,
@@ -125,12 +142,12 @@ fn receivers(all: &mut Vec<Named>) {
             take.scene.mirrors = mirrors();
         },
     ));
-    all.push(one("dropout-50", "half of all pulses missing", 30.0, |take| {
+    all.push(walks("dropout-50", "half of all pulses missing", 30.0, |take| {
         take.scene.receiver.sync_dropout = 0.5;
         take.scene.receiver.sweep_dropout = 0.5;
     }));
     for us in [5.0, 20.0] {
-        all.push(one(&format!("jitter-{us}us"), &format!("every edge moved by up to {us} us"), 30.0, |take| {
+        all.push(walks(&format!("jitter-{us}us"), &format!("every edge moved by up to {us} us"), 30.0, |take| {
             take.scene.receiver.jitter_us = 0.0;
             take.scene.receiver.even_jitter_us = us;
         }));
@@ -141,25 +158,29 @@ fn receivers(all: &mut Vec<Named>) {
         [("-10us", -10.0, -5.0), ("-5us", -5.0, -5.0), ("+5us", 5.0, 5.0), ("+10us", 10.0, 10.0)]
     {
         let what = format!("flashes {flash_us:+} us long, sweeps {sweep_us:+}");
-        all.push(one(&format!("bias{name}"), &what, 20.0, |take| {
+        all.push(walks(&format!("bias{name}"), &what, 20.0, |take| {
             take.scene.receiver.sync_width_bias_us = flash_us;
             take.scene.receiver.sweep_width_bias_us = sweep_us;
         }));
     }
-    all.push(one("bias-drift", "flashes from -10 to +10 us within 40 s", 40.0, |take| {
+    all.push(walks("bias-drift", "flashes from -10 to +10 us within 40 s", 40.0, |take| {
         take.scene.receiver.sync_width_bias_us = -10.0;
         take.scene.receiver.sync_width_drift_us_per_s = 0.5;
     }));
 }
 
 fn strangers(all: &mut Vec<Named>) {
+    all.push(walks("remote-control", "200 pulses of 1 to 200 us a second, at random", 30.0, |take| {
+        take.scene.interference.rate_per_s = 200.0;
+    }));
     // One slides over a whole half turn of the rotors, at 120 Hz over the same flashes, within its 20 s.
     for (rate, rate_hz) in [("60hz", 60.05), ("120hz", 120.1)] {
         for (long, burst_us) in [("0.25ms", 250.0), ("1ms", 1000.0)] {
             let what = format!("motion capture's strobe at {rate_hz} Hz for 20 s");
-            all.push(one(&format!("strobe-{rate}-{long}"), &what, 25.0, |take| {
-                take.scene.strobes = vec![Strobe { rate_hz, burst_us, first_s: SETTLED_S, to_s: SETTLED_S + 20.0 }];
-                take.due_again_s = vec![SETTLED_S + 20.0];
+            all.push(walks(&format!("strobe-{rate}-{long}"), &what, 25.0, |take| {
+                let first_s = settled_s(take);
+                take.scene.strobes = vec![Strobe { rate_hz, burst_us, first_s, to_s: first_s + 20.0 }];
+                take.due_again_s = vec![first_s + 20.0];
             }));
         }
     }
@@ -177,34 +198,40 @@ fn lines(all: &mut Vec<Named>) {
             "the line {} for {long_s} s",
             if matches!(line, Line::Storm { .. }) { "storms" } else { "is stuck" }
         );
-        all.push(one(name, &what, SETTLED_S + long_s + 3.0, |take| {
-            let to_s = SETTLED_S + long_s;
-            take.scene.line_faults = vec![LineFault { from_s: SETTLED_S, to_s, line }];
+        all.push(walks(name, &what, SETTLED_S + long_s + 3.0, |take| {
+            let from_s = settled_s(take);
+            let to_s = from_s + long_s;
+            take.scene.line_faults = vec![LineFault { from_s, to_s, line }];
             take.due_again_s = vec![to_s];
         }));
     }
 }
 
 fn rooms(all: &mut Vec<Named>) {
-    all.push(one("swapped", "A stands where the room file has B, and B where it has A", 20.0, |take| {
+    all.push(walks("swapped", "A stands where the room file has B, and B where it has A", 20.0, |take| {
         std::mem::swap(&mut take.scene.station_a, &mut take.scene.station_b);
     }));
-    for (name, by_m, turn_deg) in
-        [("moved-10cm", [0.06, 0.0, 0.08], 0.0), ("moved-5deg", [0.0; 3], 5.0), ("moved-both", [0.06, 0.0, 0.08], 5.0)]
-    {
-        all.push(one(name, "B is knocked out of its place and stays there", 20.0, |take| {
-            take.scene.station_b.moved = Some(Moved { at_s: SETTLED_S, by_m, turn_deg });
+    // Along the line to A and towards the mote, and turned about the upright: planes through both stations and the mote
+    // stay such planes, and the rays meet as before, elsewhere. Up, and tilted: the rays no longer meet.
+    for (name, by_m, turn_deg, tilt_deg) in [
+        ("moved-10cm", [0.06, 0.0, 0.08], 0.0, 0.0),
+        ("moved-turned-5deg", [0.0; 3], 5.0, 0.0),
+        ("moved-up-10cm", [0.0, 0.1, 0.0], 0.0, 0.0),
+        ("moved-tilted-5deg", [0.0; 3], 0.0, 5.0),
+    ] {
+        all.push(walks(name, "B is knocked out of its place and stays there", 20.0, |take| {
+            take.scene.station_b.moved = Some(Moved { at_s: settled_s(take), by_m, turn_deg, tilt_deg });
         }));
     }
     for (name, dark) in [("single-a", 1), ("single-b", 0)] {
-        all.push(one(name, "only one station, from cold start", 10.0, |take| {
+        all.push(walks(name, "only one station, from cold start", 10.0, |take| {
             let scene = &mut take.scene;
             let station = if dark == 0 { &mut scene.station_a } else { &mut scene.station_b };
             station.occlusions = vec![Occlusion { from_s: 0.0, to_s: 1e9, hides: Hides::Everything }];
         }));
     }
     for us in [350.0, 450.0] {
-        all.push(one(
+        all.push(walks(
             &format!("gap-{us}us"),
             "the stations flash at the end of what their cable allows",
             20.0,
@@ -234,7 +261,10 @@ fn starts(all: &mut Vec<Named>) {
     let what = "the first light in each of 64 phases of the cycle";
     all.push(Named { name: "cold-start".into(), what: what.into(), takes: cold.collect() });
 
-    let wrap = (0..PHASES).map(|n| Take { wrap_s: Some(1.2 + phase_s(n)), ..late(1.8, n) });
+    let wrap = (0..PHASES).map(|n| {
+        let wrap_s = 1.2 + phase_s(n);
+        Take { wrap_s: Some(wrap_s), due_again_s: vec![wrap_s], ..late(1.8, n) }
+    });
     let what = "the counter wraps in each of 64 phases of the cycle";
     all.push(Named { name: "wrap".into(), what: what.into(), takes: wrap.collect() });
 
@@ -249,7 +279,7 @@ fn starts(all: &mut Vec<Named>) {
 fn clocks(all: &mut Vec<Named>) {
     for (name, times) in [("clock-0.5x", 0.5), ("clock-1x", 1.0), ("clock-2x", 2.0)] {
         let what = format!("{times} times the nominal clock, drifting 1 % per minute");
-        all.push(one(name, &what, 30.0, |take| {
+        all.push(walks(name, &what, 30.0, |take| {
             let clock = &mut take.scene.clock;
             (clock.nominal_hz, clock.error, clock.drift_per_min) = (times * clock.nominal_hz, 0.0, 0.01);
         }));

@@ -58,6 +58,9 @@ const EXPECTED: &str = "tests/expected/scenes.txt";
 /// Where the results go.
 const OUT: &str = "target/scenes";
 
+/// Wrong fixes that are shown of a scene.
+const MOST_WRONG: usize = 20;
+
 /// Promises that the firmware breaks as it is, by scene, with the reason.
 const UNTIL_MET: [(&str, Promise); 2] = [
     // The first pulse of a slot that could be a sweep is taken for it. Mirrored ones that come before it agree with each
@@ -243,6 +246,15 @@ fn alone(image: Image, named: &Named, calibration: &Calibration) -> Result<()> {
     if let Some(halted) = &played.halted {
         println!("{halted}");
     }
+    let wrong = || played.fixes.iter().filter(|fix| fix.is_good() && fix.is_wrong());
+    for fix in wrong().take(MOST_WRONG) {
+        let [x, y, z] = fix.sd_m.map(|sd| 100.0 * sd);
+        let error_cm = 100.0 * fix.error_m();
+        println!("{:7.2} s  wrong by {error_cm:.1} cm, says {x:.1} {y:.1} {z:.1} cm of itself", fix.row.seconds);
+    }
+    if wrong().count() > MOST_WRONG {
+        println!("and {} more that are wrong", wrong().count() - MOST_WRONG);
+    }
     let rows: Vec<FixRow> = played.fixes.iter().map(|fix| fix.row.clone()).collect();
     let dir = root().join(OUT).join(&named.name);
     output::ensure_replaceable(&dir)?;
@@ -265,7 +277,11 @@ fn alone(image: Image, named: &Named, calibration: &Calibration) -> Result<()> {
         seconds: take.scene.length_s,
         cpu_percent: f64::NAN,
         lost: u64::from(played.garbled),
-        more: vec![("seed".to_string(), json!(take.seed)), ("locks_lost".to_string(), json!(played.locks_lost))],
+        more: vec![
+            ("seed".to_string(), json!(take.seed)),
+            ("locks_lost".to_string(), json!(played.locks_lost)),
+            ("edges_lost".to_string(), json!(played.edges_lost)),
+        ],
         fixes: rows,
     };
     output::write(&dir, &run)?;
@@ -330,6 +346,7 @@ fn summarised(rows: &[(&Named, &Figures)], curves: &curves::Curves) -> Value {
                 "never_recovered": figures.recovery_ms == f64::INFINITY,
                 "first_fix_ms": figures.first_fix_ms,
                 "locks_lost": figures.locks_lost,
+                "edges_lost": figures.edges_lost,
                 "crashes": figures.crashes,
                 "other_frames": figures.other_frames,
                 "garbled_frames": figures.garbled,

@@ -45,6 +45,8 @@ pub(super) struct Figures {
     /// Longest time from the first light to a good fix, milliseconds; infinite where none came in some take.
     pub(super) first_fix_ms: f64,
     pub(super) locks_lost: u32,
+    /// Edges that the mote says it lost; the most of all takes.
+    pub(super) edges_lost: u16,
     /// Resets and stops.
     pub(super) crashes: u32,
     /// Frames other than fixes, and frames that cannot be read.
@@ -80,11 +82,11 @@ pub(super) fn bound_m(sd_m: [f64; 3]) -> f64 {
 }
 
 impl Fix {
-    fn error_m(&self) -> f64 {
+    pub(super) fn error_m(&self) -> f64 {
         self.row.error_m().unwrap_or(f64::INFINITY)
     }
 
-    fn is_good(&self) -> bool {
+    pub(super) fn is_good(&self) -> bool {
         self.level == Level::Full
     }
 
@@ -123,6 +125,7 @@ impl Figures {
             ),
             first_fix_ms: most(&mut takes.iter().map(|(take, played)| waited_ms(played, take.first_light_s))),
             locks_lost: sum(|played| played.locks_lost),
+            edges_lost: takes.iter().map(|(_, played)| played.edges_lost).max().unwrap_or(0),
             crashes: sum(|played| played.resets + u32::from(played.halted.is_some())),
             other_frames: sum(|played| played.other_frames),
             garbled: sum(|played| played.garbled),

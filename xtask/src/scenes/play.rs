@@ -48,6 +48,8 @@ pub(super) struct Played {
     pub(super) passes: Vec<u64>,
     pub(super) mote_hz: f64,
     pub(super) locks_lost: u32,
+    /// Edges that the mote says it lost, in its last report.
+    pub(super) edges_lost: u16,
     /// Starts after the first.
     pub(super) resets: u32,
     /// Why the mote stopped, if it did.
@@ -116,6 +118,7 @@ pub(super) fn play(elf: &[u8], strings: &'static Table, take: &Take) -> Result<P
             let sent_s = world.seconds(sent.start_cycle);
             match hear(&sent.bytes) {
                 Heard::Fix(sequence, report) => {
+                    played.edges_lost = report.losses.edges;
                     let sighted = mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
                     let row = FixRow {
                         cycle: sent.start_cycle,

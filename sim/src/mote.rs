@@ -117,6 +117,12 @@ impl Mote {
         Some(now.saturating_sub(u64::from(counter.wrapping_sub(ticks))))
     }
 
+    /// Lets the radio timer stand as if it had been started `ticks` earlier: to see it wrap without the wait.
+    pub fn age_timer(&mut self, ticks: u32) {
+        let now = self.machine.cycles();
+        self.machine.bus.age_timer(ticks, now);
+    }
+
     /// How the core spent its time so far.
     #[must_use]
     pub fn load(&self) -> Load {

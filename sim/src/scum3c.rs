@@ -117,6 +117,13 @@ impl Scum3c {
         self.analog.set_hclk_hz(hclk_hz, self.now);
     }
 
+    /// Lets the radio timer stand as if it had been started `ticks` earlier, alarms included, from `cycle` on.
+    pub fn age_timer(&mut self, ticks: u32, cycle: u64) {
+        self.advance(cycle);
+        self.rftimer.age(ticks, self.now);
+        self.schedule();
+    }
+
     /// Queues a change of the optical level to happen at `cycle`, which must be later than that of the edge before.
     pub fn push_edge(&mut self, cycle: u64, level: bool) -> Result<(), EdgeError> {
         self.gpio.push_edge(cycle, level, self.now)?;

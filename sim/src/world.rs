@@ -111,6 +111,9 @@ pub struct World {
     receiver_noise: Noise,
     mirror_noise: Noise,
     interference_noise: Noise,
+    weak_noise: Noise,
+    /// The stations as they stand after they were moved.
+    moved: [Option<Station>; 2],
     /// The slot to be lit next.
     slot: u64,
     /// Pulses made and not yet given out, the earliest last.
@@ -162,6 +165,8 @@ impl World {
             receiver_noise: Noise::new(seed, Purpose::Receiver),
             mirror_noise: Noise::new(seed, Purpose::Mirror),
             interference_noise: Noise::new(seed, Purpose::Interference),
+            weak_noise: Noise::new(seed, Purpose::Weak),
+            moved: [&scene.station_a, &scene.station_b].map(Station::after_its_move),
             slot: 0,
             ahead: Vec::new(),
             fall: None,
@@ -269,11 +274,13 @@ impl World {
         // Both flashes come within half a millisecond: to a hand the same place.
         let here = self.walk.position(start_s);
         self.receiver_noise.at(slot);
+        self.weak_noise.at(slot);
         self.flash(slot, StationId::A, here);
         self.flash(slot, StationId::B, here);
-        self.sweep(slot);
-        self.reflect(slot);
+        let alone = self.reflect(slot);
+        self.sweep(slot, alone);
         self.interfere(slot);
+        self.disturb(slot);
         if let Some(log) = &mut self.log {
             log[logged..].sort_by_key(|event| event.cycle);
         }
@@ -287,27 +294,33 @@ impl World {
         let light = Pulse { rise_s, fall_s: rise_s + slot::sync_width_us(axis, data, skip) * 1e-6 };
         let received = self.scene.receiver.sync(light, &mut self.receiver_noise);
 
-        let station = self.station(id);
+        let station = self.station(id, rise_s);
+        let from = Vector3::from(station.position_m);
         let reaches = station.sight(here).lit(&self.scene.optics)
             && !station.hides_sync(rise_s)
-            && self.scene.receiver.faces(here, station.position_m.into());
+            && self.scene.receiver.faces(here, from);
+        let reaches = self.scene.receiver.notices(here, from, &mut self.weak_noise) && reaches;
         self.shine(received.filter(|_| reaches), rise_s, EventKind::Sync { station: id, axis, skip, data });
     }
 
-    fn sweep(&mut self, slot: u64) {
+    /// The direct sweep; `hidden` when it is but a reflection that arrives.
+    fn sweep(&mut self, slot: u64, hidden: bool) {
         let (id, axis) = slot::sweep_of(slot);
         let timing = &self.scene.timing;
         let (sync_s, half_turn_s) = (timing.sync_s(slot, id), timing.half_turn_s());
         let noise_rad = (timing.angle_noise_deg * self.rotor_noise.at(slot).gaussian()).to_radians();
-        let station = self.station(id);
+        let station = self.station(id, sync_s);
         let walk = &self.walk;
         let crossing = self.crossing(station, axis, sync_s, noise_rad, |t_s| walk.position(t_s));
         let Some(crossing) = crossing else { return };
 
         let at_s = sync_s + crossing.after_s;
+        let (here, from) = (self.walk.position(at_s), Vector3::from(station.position_m));
         let reaches = crossing.sight.lit(&self.scene.optics)
+            && !hidden
             && !station.hides_sweep(at_s)
-            && self.scene.receiver.faces(self.walk.position(at_s), station.position_m.into());
+            && self.scene.receiver.faces(here, from);
+        let reaches = self.scene.receiver.notices(here, from, &mut self.weak_noise) && reaches;
         let light = self.line(axis, at_s, &crossing.sight);
         let received = self.scene.receiver.sweep(light, &mut self.receiver_noise);
         let kind = EventKind::Sweep {
@@ -320,15 +333,18 @@ impl World {
         self.shine(received.filter(|_| reaches), at_s, kind);
     }
 
-    /// The same sweep again, as it comes from the image of the mote in each mirror.
-    fn reflect(&mut self, slot: u64) {
+    /// The same sweep again, as it comes from the image of the mote in each mirror; whether it comes alone.
+    fn reflect(&mut self, slot: u64) -> bool {
         let (id, axis) = slot::sweep_of(slot);
         let sync_s = self.scene.timing.sync_s(slot, id);
         self.mirror_noise.at(slot);
+        let mut one_alone = false;
         for n in 0..self.scene.mirrors.len() {
             let mirror: Mirror = self.scene.mirrors[n];
             let bright = self.mirror_noise.uniform() < mirror.probability;
-            let station = self.station(id);
+            let alone = self.mirror_noise.uniform() < mirror.alone;
+            let gain = self.mirror_noise.between(mirror.gain[0], mirror.gain[1]);
+            let station = self.station(id, sync_s);
             let walk = &self.walk;
             let crossing = self.crossing(station, axis, sync_s, 0.0, |t_s| mirror.image(walk.position(t_s)));
             let Some(crossing) = crossing else { continue };
@@ -339,11 +355,28 @@ impl World {
                 && mirror.shows(here)
                 && mirror.shows(from)
                 && self.scene.receiver.faces(here, mirror.image(from));
-            let light = self.line(axis, at_s, &crossing.sight);
+            let half_s = (self.line(axis, at_s, &crossing.sight).fall_s - at_s) * gain;
+            let light = Pulse { rise_s: at_s - half_s, fall_s: at_s + half_s };
             let received = self.scene.receiver.sweep(light, &mut self.mirror_noise);
             if bright && reaches {
+                one_alone |= alone;
                 self.shine(received, at_s, EventKind::Reflection { station: id, axis });
             }
+        }
+        one_alone
+    }
+
+    /// Strobes, and what a bad line adds.
+    fn disturb(&mut self, slot: u64) {
+        let from_s = if slot == 0 { 0.0 } else { self.scene.timing.start_s(slot) };
+        let to_s = self.scene.timing.start_s(slot + 1);
+        for strobe in &self.scene.strobes {
+            for burst in strobe.bursts(from_s, to_s) {
+                light(&self.scene, &mut self.ahead, burst);
+            }
+        }
+        for fault in &self.scene.line_faults {
+            fault.pulses(from_s, to_s).into_iter().for_each(|pulse| insert(&mut self.ahead, pulse));
         }
     }
 
@@ -361,7 +394,7 @@ impl World {
             if rise_s >= end_s {
                 break;
             }
-            insert(&mut self.ahead, Pulse { rise_s, fall_s: rise_s + width_us * 1e-6 });
+            light(&self.scene, &mut self.ahead, Pulse { rise_s, fall_s: rise_s + width_us * 1e-6 });
         }
     }
 
@@ -407,15 +440,18 @@ impl World {
             log.push(Event { cycle: self.oscillator.cycle(at_s), seen: received.is_some(), kind });
         }
         if let Some(pulse) = received {
-            insert(&mut self.ahead, pulse);
+            light(&self.scene, &mut self.ahead, pulse);
         }
     }
 
-    fn station(&self, id: StationId) -> &Station {
-        match id {
+    /// A station as it stands at a true time.
+    fn station(&self, id: StationId, at_s: f64) -> &Station {
+        let first = match id {
             StationId::A => &self.scene.station_a,
             StationId::B => &self.scene.station_b,
-        }
+        };
+        let has_moved = first.moved.is_some_and(|moved| at_s >= moved.at_s);
+        self.moved[id as usize].as_ref().filter(|_| has_moved).unwrap_or(first)
     }
 }
 
@@ -423,6 +459,14 @@ impl Loop {
     fn bit(&self, slot: u64) -> bool {
         let length = self.bits.len() as u64;
         self.bits[((self.first as u64 + slot) % length) as usize]
+    }
+}
+
+/// Sends light down the line.
+fn light(scene: &Scene, ahead: &mut Vec<Pulse>, pulse: Pulse) {
+    let pulse = scene.line_faults.iter().fold(pulse, |pulse, fault| fault.pass(pulse));
+    if pulse.fall_s > pulse.rise_s {
+        insert(ahead, pulse);
     }
 }
 

@@ -8,6 +8,7 @@ use anyhow::Result;
 use crate::bench::{self, bench};
 use crate::fuzz::{self, fuzz};
 use crate::process::{cargo, run};
+use crate::scenes::{self, scenes};
 use crate::setup;
 use crate::test::{Tally, run_all};
 
@@ -25,7 +26,7 @@ const BOARDS: [Board; 3] = [
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
 
-/// Runs formatting, lints, tests, the bench and the fuzzer, and closes with how many passed.
+/// Runs formatting, lints, tests, the bench, the scenes and the fuzzer, and closes with how many passed.
 pub(crate) fn ci() -> Result<()> {
     let mut tally = Tally::default();
     tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
@@ -37,6 +38,7 @@ pub(crate) fn ci() -> Result<()> {
     }
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
+    tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
     tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));
     tally.close()
 }

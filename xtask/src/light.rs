@@ -257,7 +257,7 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 /// The value below which the part `q` of `values` lies, between neighbours in proportion.
-pub(crate) fn quantile(values: &mut [f64], q: f64) -> f64 {
+pub fn quantile(values: &mut [f64], q: f64) -> f64 {
     if values.is_empty() {
         return f64::NAN;
     }

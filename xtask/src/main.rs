@@ -18,6 +18,7 @@ mod fuzz;
 mod process;
 mod qemu;
 mod run;
+mod scenes;
 mod setup;
 mod test;
 
@@ -49,6 +50,12 @@ enum Verb {
     /// and has QEMU count the same instructions. Prints one table and writes target/bench/summary.json. What grew
     /// since tests/expected/bench.txt was written is an error.
     Bench(bench::Arguments),
+    /// Put the firmware into light that is not kind: occlusions, reflections, strobes, stuck lines, moved stations
+    ///
+    /// Runs the release firmware in the virtual mote through every named scene. Prints one table and writes
+    /// target/scenes: summary.json, range.svg, incidence.svg. A promise that is broken, or a figure that is not in
+    /// tests/expected/scenes.txt, is an error.
+    Scenes(scenes::Arguments),
     /// Run every test: on this computer, and on an emulated Cortex-M0 like the one in the mote
     ///
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
@@ -76,6 +83,7 @@ fn main() -> ExitCode {
         Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
         Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
+        Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),

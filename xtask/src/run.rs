@@ -62,7 +62,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 /// Half a turn of a 60 Hz rotor, seconds.
-const HALF_TURN_S: f64 = 1.0 / 120.0;
+pub(crate) const HALF_TURN_S: f64 = 1.0 / 120.0;
 /// How often the mote is looked at, seconds of its time.
 const LOOK_S: f64 = 0.05;
 /// A recording is scored sweep by sweep.
@@ -409,19 +409,27 @@ impl Session {
 }
 
 /// What the mote logs over its UART, decoded with the image's own strings.
-struct Log<'t> {
+pub(crate) struct Log<'t> {
     decoder: Box<dyn StreamDecoder + Send + Sync + 't>,
 }
 
 impl Log<'_> {
-    fn new(elf: &[u8]) -> Result<Self> {
-        let table = Table::parse(elf)?.context("the image has no log strings")?;
-        // One run, one image: the table lives as long as the program.
-        let table: &'static Table = Box::leak(Box::new(table));
-        Ok(Self { decoder: table.new_stream_decoder() })
+    pub(crate) fn new(elf: &[u8]) -> Result<Self> {
+        Ok(Self::of(Self::strings(elf)?))
     }
 
-    fn read(&mut self, bytes: &[u8]) -> Vec<String> {
+    /// One of several motes with the same image.
+    pub(crate) fn of(strings: &'static Table) -> Self {
+        Self { decoder: strings.new_stream_decoder() }
+    }
+
+    pub(crate) fn strings(elf: &[u8]) -> Result<&'static Table> {
+        let table = Table::parse(elf)?.context("the image has no log strings")?;
+        // One run, one image: the table lives as long as the program.
+        Ok(Box::leak(Box::new(table)))
+    }
+
+    pub(crate) fn read(&mut self, bytes: &[u8]) -> Vec<String> {
         self.decoder.received(bytes);
         let mut lines = Vec::new();
         loop {

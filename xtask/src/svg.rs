@@ -70,6 +70,70 @@ pub struct Picture<'a> {
     pub spans: &'a [Span],
 }
 
+/// A line through points, and what it is.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// For the legend.
+    pub name: String,
+    /// Across and up.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// The colours of curves, in order.
+const CURVES: [&str; 3] = [BLUE, DOTS, INK];
+/// Left edge, top, width and height of the frame of a picture of curves, and the picture's own width and height.
+const PLOT: (f64, f64, f64, f64) = (76.0, 104.0, 560.0, 280.0);
+const PLOT_SIZE: (f64, f64) = (664.0, 440.0);
+
+/// Draws shares in percent, 0 to 100, against a quantity.
+pub fn draw_curves(title: &str, across: &str, up: &str, curves: &[Curve]) -> String {
+    let (left, top, width, height) = PLOT;
+    let mut svg = String::new();
+    let (all_width, all_height) = PLOT_SIZE;
+    let _ = write!(
+        svg,
+        r##"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {all_width} {all_height}" width="{all_width}" height="{all_height}" font-family="Helvetica, Arial, 'DejaVu Sans', sans-serif" font-size="12" fill="{INK}"><rect width="{all_width}" height="{all_height}" fill="#fff"/>"##
+    );
+    text(&mut svg, 28.0, 38.0, r#"font-size="19" font-weight="bold""#, title);
+    let (from, to) = range(curves.iter().flat_map(|curve| &curve.points).map(|point| point.0), 0.02);
+    let xs = Scale { from, to, start: left, end: left + width };
+    let ys = Scale { from: 0.0, to: 105.0, start: top + height, end: top };
+    for tick in ys.ticks(6.0) {
+        let y = ys.at(tick);
+        line(&mut svg, (left, y), (left + width, y), &format!(r#"stroke="{RULE}""#));
+        text(&mut svg, left - 8.0, y + 4.0, &format!(r#"text-anchor="end" fill="{SOFT}""#), &label(tick, 0));
+    }
+    for tick in xs.ticks(10.0) {
+        let x = xs.at(tick);
+        line(&mut svg, (x, top + height), (x, top + height + 4.0), &format!(r#"stroke="{SOFT}""#));
+        let words = label(tick, xs.digits(10.0));
+        text(&mut svg, x, top + height + 18.0, &format!(r#"text-anchor="middle" fill="{SOFT}""#), &words);
+    }
+    for (n, curve) in curves.iter().enumerate() {
+        let colour = CURVES[n % CURVES.len()];
+        // Lines that lie on each other stay visible: the first is the widest.
+        let wide = 1.2 + 1.4 * (curves.len() - n - 1) as f64;
+        let mut path = String::new();
+        for (k, (x, y)) in curve.points.iter().enumerate() {
+            let _ = write!(path, "{}{:.1} {:.1}", if k == 0 { 'M' } else { 'L' }, xs.held(*x), ys.held(*y));
+        }
+        let _ = write!(
+            svg,
+            r#"<path d="{path}" fill="none" stroke="{colour}" stroke-width="{wide:.1}" stroke-linejoin="round" stroke-linecap="round"/>"#
+        );
+        let x = left + 190.0 * n as f64;
+        line(&mut svg, (x, 74.0), (x + 22.0, 74.0), &format!(r#"stroke="{colour}" stroke-width="{wide:.1}""#));
+        text(&mut svg, x + 28.0, 78.0, "", &curve.name);
+    }
+    frame(&mut svg, left, top, width, height, &format!(r#"fill="none" stroke="{SOFT}" stroke-width="0.8""#));
+    let style = r#"font-size="13" text-anchor="middle""#;
+    text(&mut svg, left + width / 2.0, top + height + 40.0, style, across);
+    let (x, y) = (24.0, top + height / 2.0);
+    text(&mut svg, x, y, &format!(r#"{style} transform="rotate(-90 {x} {y})""#), up);
+    svg.push_str("</svg>\n");
+    svg
+}
+
 /// A straight map from a quantity to pixels.
 #[derive(Clone, Copy)]
 struct Scale {
@@ -127,7 +191,7 @@ fn thin<T>(items: &[T]) -> impl Iterator<Item = &T> {
 }
 
 /// A number for people, or a dash where there is none.
-pub(crate) fn figure(value: f64, digits: usize) -> String {
+pub fn figure(value: f64, digits: usize) -> String {
     if value.is_finite() { format!("{value:.digits$}") } else { "-".into() }
 }
 
@@ -440,6 +504,18 @@ mod tests {
     fn the_room_is_seen_along_the_axis_that_varies_least() {
         let (fixes, truth) = walk(600);
         assert!(drawn(&fixes, &truth).contains("along its y axis"));
+    }
+
+    #[test]
+    fn curves_go_through_their_points_and_say_what_they_are() {
+        let curve = Curve { name: "a & b".into(), points: vec![(0.0, 0.0), (1.0, 105.0)] };
+        let svg = draw_curves("t", "x", "y", &[curve]);
+        // 2 % of the range on either side.
+        let (left, top, width, height) = PLOT;
+        let at = |part: f64| left + width * (part + 0.02) / 1.04;
+        let path = format!("M{:.1} {:.1}L{:.1} {top:.1}", at(0.0), top + height, at(1.0));
+        assert!(svg.contains(&path) && svg.contains("a &amp; b"), "{path} {svg}");
+        assert!(svg.ends_with("</svg>\n") && !draw_curves("", "", "", &[]).contains("NaN"));
     }
 
     #[test]

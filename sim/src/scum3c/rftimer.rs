@@ -148,6 +148,15 @@ impl RfTimer {
         counter as u32
     }
 
+    /// As if the counter had been started `ticks` earlier: it and the alarms that are set stand that much higher.
+    pub(super) fn age(&mut self, ticks: u32, cycle: u64) {
+        self.rebase(cycle);
+        self.base_counter = self.base_counter.wrapping_add(ticks);
+        for compare in &mut self.compares {
+            compare.value = compare.value.wrapping_add(ticks);
+        }
+    }
+
     fn rebase(&mut self, cycle: u64) {
         self.base_counter = self.counter(cycle);
         self.base_cycle = cycle;

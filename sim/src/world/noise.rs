@@ -24,6 +24,7 @@ pub(super) enum Purpose {
     Receiver,
     Mirror,
     Interference,
+    Weak,
 }
 
 /// One stream of random numbers, addressable by slot.

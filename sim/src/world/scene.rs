@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::clock::Clock;
 use super::ootx::Info;
 use super::path::Path;
-use super::receiver::{Interference, Mirror, Receiver};
+use super::receiver::{Interference, LineFault, Mirror, Receiver, Strobe};
 use super::rotor::Rotor;
 use super::slot::Timing;
 use super::station::{Optics, Station};
@@ -41,6 +41,10 @@ pub struct Scene {
     pub station_b: Station,
     /// Planes that reflect the sweeps.
     pub mirrors: Vec<Mirror>,
+    /// Motion capture in the same room.
+    pub strobes: Vec<Strobe>,
+    /// When the line from the receiver to the chip is not well.
+    pub line_faults: Vec<LineFault>,
 }
 
 /// Stations A and B as they stood for the SCuM recording "take5" of 2020: poses and phases from a refit of that
@@ -58,7 +62,7 @@ fn take5() -> [Station; 2] {
             azimuth: phase(0.046615),
             elevation: phase(0.055583),
             info: Info { id: 0xa000_0001, mode: 0, ..Info::default() },
-            occlusions: Vec::new(),
+            ..Station::default()
         },
         Station {
             rotation: [
@@ -70,7 +74,7 @@ fn take5() -> [Station; 2] {
             azimuth: phase(0.015264),
             elevation: phase(0.020820),
             info: Info { id: 0xb000_0002, mode: 1, ..Info::default() },
-            occlusions: Vec::new(),
+            ..Station::default()
         },
     ]
 }
@@ -92,6 +96,8 @@ impl Default for Scene {
             station_a,
             station_b,
             mirrors: Vec::new(),
+            strobes: Vec::new(),
+            line_faults: Vec::new(),
         }
     }
 }
@@ -119,7 +125,9 @@ impl Scene {
             receiver: Receiver {
                 sync_width_bias_us: 0.0,
                 sweep_width_bias_us: 0.0,
+                sync_width_drift_us_per_s: 0.0,
                 jitter_us: 0.0,
+                even_jitter_us: 0.0,
                 sync_dropout: 0.0,
                 sweep_dropout: 0.0,
                 ..self.receiver
@@ -144,6 +152,12 @@ impl Scene {
         must(self.path.is_fit(), "the path has no extent, an inverted box or a speed that is no number")?;
         must(self.clock.is_fit(), "the clock could stop, or run at more than ten times its rate")?;
         must(size(seen.jitter_us) && seen.jitter_us <= 50.0, "jitter_us is not within 0 to 50")?;
+        must(size(seen.even_jitter_us) && seen.even_jitter_us <= 50.0, "even_jitter_us is not within 0 to 50")?;
+        must(seen.sync_width_drift_us_per_s.abs() <= 10.0, "sync_width_drift_us_per_s is beyond 10")?;
+        must(
+            seen.sensitivity.is_none_or(|s| s.reach_m > 0.0 && size(s.reach_m) && size(s.spread)),
+            "the sensitivity reaches nowhere, or its spread is negative",
+        )?;
         must(size(seen.min_width_us), "min_width_us is negative or no number")?;
         must(
             seen.sync_width_bias_us.is_finite() && seen.sync_width_bias_us.abs() <= 50.0,
@@ -176,7 +190,24 @@ impl Scene {
                 && self.interference.longest_us >= self.interference.shortest_us,
             "the interference is longest before it is shortest",
         )?;
-        must(self.mirrors.iter().all(|m| share(m.probability)), "a mirror's probability is not within 0 to 1")?;
+        must(
+            self.mirrors.iter().all(|m| share(m.probability) && share(m.alone)),
+            "a mirror's probability is not within 0 to 1",
+        )?;
+        must(
+            self.mirrors.iter().all(|m| m.gain[0] > 0.0 && size(m.gain[1]) && m.gain[1] >= m.gain[0]),
+            "a mirror's gain is not positive, or upside down",
+        )?;
+        must(
+            self.strobes
+                .iter()
+                .all(|s| s.rate_hz > 0.0 && s.burst_us > 0.0 && s.burst_us * 1e-6 * s.rate_hz < 1.0 && size(s.first_s)),
+            "a strobe is never dark, or begins before time",
+        )?;
+        must(
+            self.line_faults.iter().all(LineFault::is_fit),
+            "a line fault ends before it begins, or storms at no rate",
+        )?;
         must(self.mirrors.iter().all(|m| m.normal.iter().any(|&n| n != 0.0)), "a mirror has no normal")?;
         // Field, noise and factory terms together stay within the half turn, or a sweep would come before its flash.
         must(
@@ -185,7 +216,11 @@ impl Scene {
                 .all(|station| station.azimuth.is_fit() && station.elevation.is_fit()),
             "a rotor strays by more than 0.1 rad",
         )?;
-        must(self.station_a.is_rigid() && self.station_b.is_rigid(), "a station's rotation is not a rotation")
+        let moved = [&self.station_a, &self.station_b].map(Station::after_its_move);
+        must(
+            self.station_a.is_rigid() && self.station_b.is_rigid() && moved.iter().flatten().all(Station::is_rigid),
+            "a station's rotation is not a rotation",
+        )
     }
 }
 

@@ -29,6 +29,22 @@ pub struct Station {
     pub info: Info,
     /// When something stands between it and the mote.
     pub occlusions: Vec<Occlusion>,
+    /// Somebody knocks against it.
+    pub moved: Option<Moved>,
+}
+
+/// A station that stands elsewhere from some moment on.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Moved {
+    /// From this true time on, seconds.
+    pub at_s: f64,
+    /// Where to, metres from where it was.
+    pub by_m: [f64; 3],
+    /// How far it turns about its own y, degrees: to look further to its right.
+    pub turn_deg: f64,
+    /// How far it then tilts about its own x, degrees: to look further up.
+    pub tilt_deg: f64,
 }
 
 /// Something stands in the direct line from a station to the mote for a while.
@@ -104,6 +120,27 @@ impl Station {
         let [x, y, z] = self.rotation.map(Vector3::from);
         let crossed = (x.cross(&y) - z).norm();
         (x.norm() - 1.0).abs() < 1e-6 && (y.norm() - 1.0).abs() < 1e-6 && x.dot(&y).abs() < 1e-6 && crossed < 1e-6
+    }
+
+    /// The station as it stands once it has been moved, if it is.
+    #[must_use]
+    pub fn after_its_move(&self) -> Option<Station> {
+        let Moved { by_m, turn_deg, tilt_deg, .. } = self.moved?;
+        let [x, y, z] = self.rotation;
+        // Two axes of the station, the second turned towards the first.
+        let towards = |forward: [f64; 3], other: [f64; 3], deg: f64| {
+            let (sin, cos) = (libm::sin(deg.to_radians()), libm::cos(deg.to_radians()));
+            let mix = |a: [f64; 3], p: f64, b: [f64; 3], q: f64| core::array::from_fn(|k| p * a[k] + q * b[k]);
+            (mix(forward, cos, other, sin), mix(other, cos, forward, -sin))
+        };
+        let (z, x) = towards(z, x, turn_deg);
+        let (z, y) = towards(z, y, tilt_deg);
+        Some(Station {
+            rotation: [x, y, z],
+            position_m: core::array::from_fn(|k| self.position_m[k] + by_m[k]),
+            moved: None,
+            ..self.clone()
+        })
     }
 
     /// Whether the direct flash is blocked at a true time.
@@ -189,6 +226,21 @@ mod tests {
         let sight = ahead([0.0, 0.0, 1e-9]);
         let width_us = sight.sweep_width_us(Axis::Elevation, &Optics::default(), HALF_TURN_S);
         assert!(width_us < 160.0);
+    }
+
+    #[test]
+    fn a_station_that_was_turned_looks_elsewhere_and_is_still_a_station() {
+        let eye = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let moved = Some(Moved { at_s: 1.0, by_m: [0.1, 0.0, 0.0], turn_deg: 5.0, tilt_deg: 3.0 });
+        let station = Station { rotation: eye, moved, ..Station::default() };
+        let after = station.after_its_move().expect("it moves");
+        assert!(after.is_rigid());
+        assert_eq!(after.position_m, [0.1, 0.0, 0.0]);
+        // What is straight ahead of it now lies to the right and up: right-handed with x right, y up, z forward.
+        let (turn, tilt) = (5f64.to_radians(), 3f64.to_radians());
+        let ahead = Vector3::new(turn.sin() * tilt.cos(), tilt.sin(), turn.cos() * tilt.cos());
+        let sight = after.sight(Vector3::new(0.1, 0.0, 0.0) + ahead).c_m;
+        assert!((sight - Vector3::z()).norm() < 1e-12, "{sight}");
     }
 
     #[test]

@@ -3,9 +3,9 @@
 use super::clock::Clock;
 use super::ootx::tests::unframe;
 use super::path::Path;
-use super::receiver::{Interference, Mirror, Receiver};
+use super::receiver::{Facing, Interference, Line, LineFault, Mirror, Receiver, Sensitivity, Strobe};
 use super::rotor::Rotor;
-use super::station::{Hides, Occlusion};
+use super::station::{Hides, Moved, Occlusion};
 use super::*;
 use nalgebra::{Matrix3, Vector3};
 use proptest::prelude::*;
@@ -258,7 +258,7 @@ fn dropouts_and_angle_noise_have_the_size_they_are_given() {
 #[test]
 fn a_mirror_sends_the_sweep_a_second_time_from_elsewhere() {
     let mut scene = Scene { path: STILL, ..Scene::default().without_noise() };
-    scene.mirrors = vec![Mirror { point_m: [1.2, 0.0, 0.0], normal: [-1.0, 0.0, 0.0], probability: 1.0 }];
+    scene.mirrors = vec![Mirror { point_m: [1.2, 0.0, 0.0], normal: [-1.0, 0.0, 0.0], ..Mirror::default() }];
     let events = log(&scene, 10, 1.0);
     let count = |wanted: fn(&EventKind) -> bool| events.iter().filter(|event| wanted(&event.kind)).count();
     assert_eq!(count(|kind| matches!(kind, EventKind::Sweep { .. })), 120);
@@ -275,6 +275,155 @@ fn interference_comes_at_its_rate() {
     let more = pulses(&loud) - pulses(&quiet);
     // 2,000 less the few that fall into other light.
     assert!((1_800..2_100).contains(&more), "{more}");
+}
+
+#[test]
+fn a_reflection_comes_when_the_plane_meets_the_image_of_the_mote() {
+    let mut scene = Scene { path: STILL, ..fine(Scene::default()) };
+    let wall = Mirror { point_m: [1.1, 0.0, 0.0], normal: [-1.0, 0.0, 0.0], ..Mirror::default() };
+    scene.mirrors = vec![wall];
+    let image = wall.image(Vector3::new(0.5, 1.0, 0.8));
+    let cycles = |scene: &Scene, reflected: bool| -> Vec<u64> {
+        let wanted = |kind: &EventKind| match kind {
+            EventKind::Reflection { station, axis } => reflected && (*station, *axis) == (StationId::B, Axis::Azimuth),
+            EventKind::Sweep { station, axis, .. } => !reflected && (*station, *axis) == (StationId::B, Axis::Azimuth),
+            EventKind::Sync { .. } => false,
+        };
+        log(scene, 14, 1.0).iter().filter(|event| wanted(&event.kind)).map(|event| event.cycle).collect()
+    };
+    let seen = cycles(&scene, true);
+    let there = Scene { path: Path::Still { at_m: image.into() }, mirrors: Vec::new(), ..scene };
+    assert_eq!(seen.len(), 30);
+    assert_eq!(seen, cycles(&there, false));
+}
+
+#[test]
+fn a_reflection_may_come_alone_and_be_the_stronger() {
+    let mut scene = Scene { path: STILL, ..fine(Scene::default()) };
+    let wall = Mirror { point_m: [1.1, 0.0, 0.0], normal: [-1.0, 0.0, 0.0], ..Mirror::default() };
+    scene.mirrors = vec![Mirror { alone: 0.5, gain: [2.0, 2.0], ..wall }];
+    let events = log(&scene, 15, 10.0);
+    let of = |wanted: fn(&EventKind) -> bool| events.iter().filter(move |event| wanted(&event.kind));
+    let direct = of(|kind| matches!(kind, EventKind::Sweep { station: StationId::B, .. }));
+    let hidden = direct.filter(|event| !event.seen).count();
+    // 600 sweeps of B, each with its image.
+    assert!((250..350).contains(&hidden), "{hidden}");
+    let first = of(|kind| matches!(kind, EventKind::Reflection { axis: Axis::Azimuth, .. })).next().expect("a wall");
+    let mut world = World::new(&scene, 15);
+    let at_s = world.seconds(first.cycle);
+    let image = wall.image(Vector3::new(0.5, 1.0, 0.8));
+    let plain_us =
+        scene.station_b.sight(image).sweep_width_us(Axis::Azimuth, &scene.optics, scene.timing.half_turn_s());
+    let width_s = pulses(&mut world, 1.0).into_iter().find(|(s, w)| s <= &at_s && at_s < s + w).expect("its pulse").1;
+    assert!((width_s * 1e6 - 2.0 * plain_us).abs() < 0.01, "{} us, direct {plain_us}", width_s * 1e6);
+}
+
+#[test]
+fn a_strobe_is_where_its_own_crystal_puts_it() {
+    let mut scene = Scene { path: STILL, ..fine(Scene::default()) };
+    for station in [&mut scene.station_a, &mut scene.station_b] {
+        station.occlusions = vec![Occlusion { from_s: 0.0, to_s: 1e9, hides: Hides::Everything }];
+    }
+    scene.strobes = vec![Strobe { rate_hz: 60.05, burst_us: 400.0, first_s: 0.5, to_s: 9.0 }];
+    scene.length_s = 10.0;
+    let bursts = pulses(&mut World::new(&scene, 16), 10.0);
+    // 8.5 s at 60.05 per second, the first of them at once.
+    assert_eq!(bursts.len(), 511);
+    for (n, (rise_s, width_s)) in bursts.into_iter().enumerate() {
+        assert!((rise_s - (0.5 + n as f64 / 60.05)).abs() < 2e-9 && (width_s - 400e-6).abs() < 2e-9);
+    }
+}
+
+#[test]
+fn a_strobe_over_a_flash_makes_one_long_pulse() {
+    let mut scene = Scene { path: STILL, length_s: 1.0, ..fine(Scene::default()) };
+    // 100 us before each flash of A in even slots, so long that it ends within the flash.
+    scene.strobes = vec![Strobe { rate_hz: 60.0, burst_us: 150.0, first_s: 0.9e-3, to_s: 1.0 }];
+    let (first_s, width_s) = pulses(&mut World::new(&scene, 17), 1.0)[0];
+    assert!((first_s - 0.9e-3).abs() < 2e-9);
+    let ends = [false, true].map(|data| 100.0 + slot::sync_width_us(Axis::Azimuth, data, true));
+    assert!(ends.iter().any(|end_us| (width_s * 1e6 - end_us).abs() < 0.01), "{} us", width_s * 1e6);
+}
+
+#[test]
+fn a_stuck_line_says_one_thing_until_it_is_well_again() {
+    for (line, edges_within) in [(Line::StuckHigh, 0), (Line::StuckLow, 0), (Line::Storm { hz: 100e3 }, 20_000)] {
+        let well = Scene { path: STILL, length_s: 1.0, ..fine(Scene::default()) };
+        let ill = Scene { line_faults: vec![LineFault { from_s: 0.3, to_s: 0.4, line }], ..well.clone() };
+        let [well, ill] = [well, ill].map(|scene| World::new(&scene, 18).edges().collect::<Vec<_>>());
+        let span = |from: u64, to: u64, edges: &[Edge]| -> Vec<Edge> {
+            edges.iter().filter(|edge| (from..to).contains(&edge.cycle)).copied().collect()
+        };
+        assert_eq!(span(0, 299_000_000, &well), span(0, 299_000_000, &ill));
+        assert_eq!(span(405_000_000, 1_000_000_000, &well), span(405_000_000, 1_000_000_000, &ill));
+        let during = span(300_000_001, 400_000_000, &ill).len();
+        assert!(during.abs_diff(edges_within) <= 2, "{line:?}: {during}");
+    }
+}
+
+#[test]
+fn even_jitter_stays_within_what_it_is_given_and_uses_all_of_it() {
+    let mut scene = Scene { path: STILL, ..fine(Scene::default()) };
+    let starts = |scene: &Scene| -> Vec<f64> { pulses(&mut World::new(scene, 19), 10.0).iter().map(|p| p.0).collect() };
+    let calm = starts(&scene);
+    // Small enough that no sweep is lost to it.
+    scene.receiver.even_jitter_us = 3.0;
+    let moves: Vec<f64> = starts(&scene).iter().zip(&calm).map(|(a, b)| (a - b) * 1e6).collect();
+    let (low, high) = moves.iter().fold((0.0f64, 0.0f64), |(l, h), m| (l.min(*m), h.max(*m)));
+    assert!((-3.01..-2.95).contains(&low) && (2.95..3.01).contains(&high), "{low} {high}");
+    let deviation = (moves.iter().map(|m| m * m).sum::<f64>() / moves.len() as f64).sqrt();
+    assert!((deviation - 3.0 / 3f64.sqrt()).abs() < 0.05, "{deviation}");
+}
+
+#[test]
+fn a_receiver_that_warms_up_stretches_its_flashes() {
+    let mut scene = Scene { path: STILL, ..fine(Scene::default()) };
+    scene.receiver.sync_width_bias_us = -10.0;
+    scene.receiver.sync_width_drift_us_per_s = 1.0;
+    let flashes = pulses(&mut World::new(&scene, 20), 20.0).into_iter().filter(|p| p.1 > 30e-6);
+    for (rise_s, width_s) in flashes {
+        let steps = ((width_s * 1e6 + 10.0 - rise_s) - 62.5) / (62.5 / 6.0);
+        assert!((steps - steps.round()).abs() < 0.01, "{} us at {rise_s} s", width_s * 1e6);
+    }
+}
+
+#[test]
+fn a_station_that_was_moved_sweeps_from_its_new_place_from_then_on() {
+    let mut scene = Scene { path: STILL, ..fine(Scene::default()) };
+    scene.station_b.moved = Some(Moved { at_s: 1.0, by_m: [0.1, 0.0, 0.0], turn_deg: 5.0, tilt_deg: -2.0 });
+    let angles: Vec<(u64, f64)> = log(&scene, 21, 2.0)
+        .iter()
+        .filter_map(|event| match event.kind {
+            EventKind::Sweep { station: StationId::B, axis: Axis::Azimuth, angle_rad, .. } => {
+                Some((event.cycle, angle_rad))
+            }
+            _ => None,
+        })
+        .collect();
+    let after = scene.station_b.after_its_move().expect("it moves");
+    for (cycle, angle_rad) in angles {
+        let station = if cycle < 1_000_000_000 { &scene.station_b } else { &after };
+        let (tan, _) = station.sight(Vector3::new(0.5, 1.0, 0.8)).tangents(Axis::Azimuth).expect("in front");
+        assert!((angle_rad - tan.atan()).abs() < 1e-12, "at cycle {cycle}");
+    }
+}
+
+#[test]
+fn weak_light_is_missed_half_the_time_at_its_reach_and_sooner_from_the_side() {
+    let share = |distance_m: f64, incidence_deg: f64| {
+        let station = Station { rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], ..Station::default() };
+        let mut scene = Scene { path: Path::Still { at_m: [0.0, 0.0, distance_m] }, ..fine(Scene::default()) };
+        (scene.station_a, scene.station_b) = (station.clone(), station);
+        let (sin, cos) = incidence_deg.to_radians().sin_cos();
+        scene.receiver.facing = Some(Facing { normal: [sin, 0.0, -cos], max_incidence_deg: 90.0 });
+        scene.receiver.sensitivity = Some(Sensitivity { reach_m: 4.0, spread: 0.1 });
+        let events = log(&scene, 22, 10.0);
+        events.iter().filter(|event| event.seen).count() as f64 / events.len() as f64
+    };
+    assert!(share(3.0, 0.0) > 0.999 && share(4.9, 0.0) < 0.001);
+    assert!((share(4.0, 0.0) - 0.5).abs() < 0.05);
+    // cos 60 degrees = 1/2: half the light, at 1/sqrt 2 of the distance.
+    assert!((share(4.0 / 2f64.sqrt(), 60.0) - 0.5).abs() < 0.05);
 }
 
 #[test]
@@ -310,7 +459,8 @@ fn rough() -> impl Strategy<Value = Scene> {
             scene.timing.sync_gap_us = sync_gap_us;
             scene.timing.angle_noise_deg = angle_noise_deg;
             scene.clock.nominal_hz = nominal_hz;
-            scene.mirrors = vec![Mirror { point_m: [1.2, 0.0, 0.0], normal: [-1.0, 0.2, 0.0], probability }];
+            scene.mirrors =
+                vec![Mirror { point_m: [1.2, 0.0, 0.0], normal: [-1.0, 0.2, 0.0], probability, ..Mirror::default() }];
             scene
         },
     )

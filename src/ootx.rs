@@ -235,7 +235,7 @@ impl State {
         if self.checked == STEPS {
             return self.missing == 0;
         }
-        if self.checked % 16 == 0 {
+        if self.checked.is_multiple_of(16) {
             let index = self.checked / 16;
             if self.missing >> index & 1 != 0 {
                 return false;

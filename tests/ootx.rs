@@ -108,7 +108,7 @@ mod tests {
             let mut state = State::default();
             let first = hear(&mut state, |at, bit| (at != missed).then_some(bit));
             // A closing one says nothing, nor does the length.
-            assert!(first == None || first == Some(Outcome::Good(BLOCK)));
+            assert!(first.is_none() || first == Some(Outcome::Good(BLOCK)));
             assert_eq!(hear(&mut state, |_, bit| Some(bit)), Some(Outcome::Good(BLOCK)), "bit {missed}");
             assert_eq!(state.bad(), 0);
         }

@@ -178,8 +178,11 @@ fn every_half_float_is_the_number_it_stands_for() {
     }
 }
 
-/// The blocks of both stations in a recording of pulses, through the stages before, and what was dropped on the way.
-fn recorded(name: &str) -> Option<[(Vec<Block>, BTreeMap<String, u32>); 2]> {
+/// The blocks of a station, and what was missed or dropped.
+type Heard = (Vec<Block>, BTreeMap<String, u32>);
+
+/// What is heard of both stations in a recording of pulses, through the stages before.
+fn recorded(name: &str) -> Option<[Heard; 2]> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/vive-pulses").join(name);
     let Ok(text) = fs::read_to_string(&file) else {
         eprintln!("skipped: there is no recording ../shared/data/vive-pulses/{name} beside the project");

@@ -13,7 +13,7 @@
 //!
 //! One flash in twenty may be lost, and a frame without a hole then never comes. But the frame repeats, and a mote that
 //! counts the half turns knows which bits it missed ([`gap`]): words with a hole are taken from a later repetition.
-//! The CRC over all of them decides, one of its steps with every bit, so that no bit costs much.
+//! The CRC over all of them decides, a word of it with every word that comes, so that no bit costs much.
 //!
 //! What can go wrong: a bit is read wrong, or the block changes between two repetitions: the CRC does not fit, and
 //! everything gathered is dropped and counted. A miscounted gap moves the place in the frame: a zero then stands where a
@@ -34,8 +34,6 @@ const BLOCK_WORDS: usize = BLOCK_BYTES.div_ceil(2);
 const WORDS: usize = BLOCK_WORDS + 2;
 /// Every word of block and CRC, a bit each.
 const ALL: u32 = (1 << WORDS) - 1;
-/// Steps of the CRC over the block.
-const STEPS: u16 = 8 * BLOCK_BYTES as u16;
 /// CRC-32 of IEEE 802.3, reflected.
 const POLYNOMIAL: u32 = 0xedb8_8320;
 
@@ -90,16 +88,24 @@ pub enum Flaw {
     Crc,
 }
 
-/// One station's frame as far as it has come. 60 bytes.
+/// What a bit did.
+enum Progress {
+    Bit,
+    /// It closed a word.
+    Word,
+    Flaw(Flaw),
+}
+
+/// One station's frame as far as it has come. 56 bytes.
 #[derive(Debug, Clone)]
 pub struct State {
     /// Block and CRC.
     words: [u16; WORDS],
     /// The words that have not come yet, a bit each.
     missing: u32,
-    /// Over the first `checked` bits of the block.
+    /// Over the first `checked` words of the block.
     crc: u32,
-    checked: u16,
+    checked: u8,
     /// Bits still to go by unread.
     rest: u16,
     /// The word that is coming.
@@ -172,7 +178,7 @@ impl State {
 
     /// Moves on by one bit, `None` if it was missed.
     #[inline]
-    fn advance(&mut self, bit: Option<bool>) -> Option<Flaw> {
+    fn advance(&mut self, bit: Option<bool>) -> Progress {
         let end = match self.place {
             HUNTING => {
                 match bit {
@@ -181,31 +187,37 @@ impl State {
                     Some(true) if self.bits == PREAMBLE_ZEROS => self.begin(LENGTH),
                     _ => self.bits = 0,
                 }
-                return None;
+                return Progress::Bit;
             }
             PREAMBLE => PREAMBLE_ZEROS,
             _ => WORD_BITS,
         };
-        if self.bits < end {
-            self.bits += 1;
-            match bit {
-                Some(true) if self.place == PREAMBLE => return Some(Flaw::Framing),
-                Some(bit) => self.word = self.word << 1 | u16::from(bit),
-                None => self.torn = true,
-            }
-            return None;
+        if self.bits >= end {
+            return self.close(bit);
         }
+        self.bits += 1;
+        match bit {
+            Some(true) if self.place == PREAMBLE => return Progress::Flaw(Flaw::Framing),
+            Some(bit) => self.word = self.word << 1 | u16::from(bit),
+            None => self.torn = true,
+        }
+        Progress::Bit
+    }
+
+    /// Takes the bit that closes a word, and the word with it.
+    #[inline(never)]
+    fn close(&mut self, bit: Option<bool>) -> Progress {
         if bit == Some(false) {
-            return Some(Flaw::Framing);
+            return Progress::Flaw(Flaw::Framing);
         }
         // The byte that came first is the lower one.
         let word = self.word.swap_bytes();
         match self.place {
             PREAMBLE => {
                 self.begin(LENGTH);
-                return None;
+                return Progress::Word;
             }
-            LENGTH if !self.torn && word != BLOCK_BYTES as u16 => return Some(Flaw::Length),
+            LENGTH if !self.torn && word != BLOCK_BYTES as u16 => return Progress::Flaw(Flaw::Length),
             LENGTH => {}
             place => {
                 let index = place - 1;
@@ -220,7 +232,7 @@ impl State {
             }
         }
         self.begin(self.place + 1);
-        None
+        Progress::Word
     }
 
     fn begin(&mut self, place: u8) {
@@ -229,27 +241,24 @@ impl State {
         self.torn = false;
     }
 
-    /// Takes the CRC one bit further where the block is known; whether all of it is, and the CRC to hold it against.
-    #[inline]
+    /// Takes the CRC one word further where that is known; whether everything is.
+    #[inline(never)]
     fn check(&mut self) -> bool {
-        if self.checked == STEPS {
-            return self.missing == 0;
-        }
-        if self.checked.is_multiple_of(16) {
-            let index = self.checked / 16;
-            if self.missing >> index & 1 != 0 {
-                return false;
+        let index = usize::from(self.checked);
+        if index < BLOCK_WORDS && self.missing >> index & 1 == 0 {
+            let word = self.words.get(index).copied().unwrap_or(0);
+            let (word, steps) = if index == BLOCK_WORDS - 1 { (word & 0xff, 8) } else { (word, 16) };
+            self.crc ^= u32::from(word);
+            for _ in 0..steps {
+                let odd = self.crc & 1 != 0;
+                self.crc >>= 1;
+                if odd {
+                    self.crc ^= POLYNOMIAL;
+                }
             }
-            let word = self.words.get(usize::from(index)).copied().unwrap_or(0);
-            self.crc ^= u32::from(if self.checked == STEPS - 8 { word & 0xff } else { word });
+            self.checked += 1;
         }
-        let odd = self.crc & 1 != 0;
-        self.crc >>= 1;
-        if odd {
-            self.crc ^= POLYNOMIAL;
-        }
-        self.checked += 1;
-        false
+        usize::from(self.checked) == BLOCK_WORDS && self.missing == 0
     }
 
     #[cold]
@@ -288,10 +297,11 @@ pub fn step(config: &Config, state: &mut State, bit: bool) -> Option<Outcome> {
         state.rest -= 1;
         return None;
     }
-    if let Some(flaw) = state.advance(Some(bit)) {
-        return Some(state.refuse(flaw));
+    match state.advance(Some(bit)) {
+        Progress::Bit => None,
+        Progress::Word => state.check().then(|| state.conclude(config)),
+        Progress::Flaw(flaw) => Some(state.refuse(flaw)),
     }
-    state.check().then(|| state.conclude(config))
 }
 
 /// Is told of `missed` flashes of that station between the last bit and the next.

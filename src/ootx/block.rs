@@ -55,10 +55,9 @@ impl Block {
     /// From its words, the last of them half padding.
     pub(super) fn of(words: &[u16]) -> Self {
         let mut bytes = [0; BLOCK_BYTES];
-        for (pair, word) in bytes.chunks_mut(2).zip(words) {
-            for (byte, sent) in pair.iter_mut().zip(word.to_le_bytes()) {
-                *byte = sent;
-            }
+        for (at, byte) in bytes.iter_mut().enumerate() {
+            let word = words.get(at / 2).copied().unwrap_or(0);
+            *byte = if at & 1 == 0 { word as u8 } else { (word >> 8) as u8 };
         }
         Self(bytes)
     }

@@ -146,11 +146,6 @@ fn a_wish_that_nobody_knows_is_refused() {
         complaint(&with("[mote]", "[mote]\nfactory = \"guessed\"")),
         format!("room.toml:{line}: mote.factory: \"guessed\" is neither \"file\" nor \"received\"")
     );
-    let line = line_of("[station.A]") + 1;
-    assert_eq!(
-        complaint(&with("[station.A]", "[station.A]\nfactory = 7")),
-        format!("room.toml:{line}: station.A.factory: 7 is no table")
-    );
 }
 
 #[test]

@@ -3,6 +3,14 @@
 //! Used by build.rs and by xtask from this same file. Everything is SI. A key that nobody knows is an error, so that a
 //! typo never means a default.
 //!
+//! Factory terms have two sources: this file, and the stations, which send their own with every flash (OOTX).
+//! `factory = "received"` under `[mote]` asks both stations for theirs, under `[station.A]` that one alone; until they
+//! have come, the file's are used, which are zero where it gives none. A file that gives terms and asks as well says
+//! `source = "received"` in `[station.A.factory]`. `"file"` is the default, and undoes `[mote]`'s wish for one station.
+//!
+//! `id = 3200290360` under `[station.A]` is the serial number that station must have: a mote that hears another one says
+//! so, for the stations may have been swapped.
+//!
 //! What can go wrong: every complaint names the file, the line, the field and the value.
 
 use std::fmt;
@@ -33,6 +41,20 @@ pub struct Station {
     pub position: [f64; 3],
     /// Factory terms of the azimuth and the elevation rotor.
     pub factory: [Rotor; 2],
+    /// Whose factory terms are to be used; that of [`Mote`] where nothing is said.
+    pub source: Option<FactorySource>,
+    /// The serial number, if the room's file knows it.
+    pub id: Option<u32>,
+}
+
+/// Whose factory terms a mote uses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum FactorySource {
+    /// `"file"`: those of the room's file.
+    #[default]
+    File,
+    /// `"received"`: those that the station sends, and those of the file until they have come.
+    Received,
 }
 
 /// The factory calibration of one rotor, radians.
@@ -72,6 +94,16 @@ pub struct Mote {
     pub report_every_half_turns: u16,
     /// The oldest angle a fix may use, ms.
     pub max_angle_age_ms: f64,
+    /// Whose factory terms are used, where a station says nothing else.
+    pub factory: FactorySource,
+}
+
+impl Calibration {
+    /// Which of the stations are asked for their own factory terms.
+    #[must_use]
+    pub fn received(&self) -> [bool; 2] {
+        self.stations.map(|station| station.source.unwrap_or(self.mote.factory) == FactorySource::Received)
+    }
 }
 
 /// Whose position a mote reports.
@@ -85,7 +117,14 @@ pub enum Estimate {
 
 impl Default for Mote {
     fn default() -> Self {
-        Self { id: 1, pan: 0x4C48, estimate: Estimate::Track, report_every_half_turns: 4, max_angle_age_ms: 100.0 }
+        Self {
+            id: 1,
+            pan: 0x4C48,
+            estimate: Estimate::Track,
+            report_every_half_turns: 4,
+            max_angle_age_ms: 100.0,
+            factory: FactorySource::File,
+        }
     }
 }
 
@@ -178,7 +217,7 @@ const GIBMAG_LIMIT_RAD: f64 = 0.03;
 
 fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
     let table = both.need_table(name)?;
-    table.only(&["rotation", "position", "factory"])?;
+    table.only(&["rotation", "position", "factory", "id"])?;
     let rotation: [[f64; 3]; 3] = table.need("rotation", |value, at| {
         let rows = at.array::<3>(value)?;
         let mut rotation = [[0.0; 3]; 3];
@@ -192,15 +231,20 @@ fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
     let far = position.iter().find(|coordinate| coordinate.abs() > POSITION_LIMIT_M);
     table.check("position", far.map(|far| format!("{far} m is beyond {POSITION_LIMIT_M} m; positions are metres")))?;
     let mut factory = [Rotor::default(); 2];
-    if let Some(terms) = table.table("factory")? {
-        terms.only(&["az", "el"])?;
+    let mut source = None;
+    if let Some(DeValue::String(_)) = table.get("factory").map(Spanned::get_ref) {
+        source = table.optional("factory", |value, at| at.factory_source(value))?;
+    } else if let Some(terms) = table.table("factory")? {
+        terms.only(&["source", "az", "el"])?;
+        source = terms.optional("source", |value, at| at.factory_source(value))?;
         for (rotor, axis) in factory.iter_mut().zip(["az", "el"]) {
             if let Some(terms) = terms.table(axis)? {
                 *rotor = self::rotor(&terms)?;
             }
         }
     }
-    Ok(Station { rotation, position, factory })
+    let id = table.optional("id", |value, at| at.whole(value, u32::MAX))?;
+    Ok(Station { rotation, position, factory, source, id })
 }
 
 fn rotor(terms: &Table<'_>) -> Result<Rotor, Error> {
@@ -242,9 +286,10 @@ impl Mote {
 }
 
 fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
-    table.only(&["id", "pan", "estimate", "report_every_half_turns", "max_angle_age_ms"])?;
+    table.only(&["id", "pan", "estimate", "report_every_half_turns", "max_angle_age_ms", "factory"])?;
     let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
-        Ok(table.optional(key, |value, at| at.whole(value, max))?.unwrap_or(usual))
+        // No larger than `max`, so it fits.
+        Ok(table.optional(key, |value, at| at.whole(value, max.into()))?.map_or(usual, |whole| whole as u16))
     };
     let max_angle_age_ms =
         table.optional("max_angle_age_ms", |value, at| at.number(value))?.unwrap_or(usual.max_angle_age_ms);
@@ -260,6 +305,7 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         estimate: table.optional("estimate", |value, at| at.estimate(value))?.unwrap_or(usual.estimate),
         report_every_half_turns,
         max_angle_age_ms,
+        factory: table.optional("factory", |value, at| at.factory_source(value))?.unwrap_or(usual.factory),
     })
 }
 
@@ -391,13 +437,13 @@ impl<'a> At<'a> {
         }
     }
 
-    fn whole(&self, value: &Spanned<DeValue<'_>>, max: u16) -> Result<u16, Error> {
+    fn whole(&self, value: &Spanned<DeValue<'_>>, max: u32) -> Result<u32, Error> {
         let whole = match value.get_ref() {
             DeValue::Integer(integer) => i64::from_str_radix(&integer.as_str().replace('_', ""), integer.radix()).ok(),
             _ => None,
         };
         whole
-            .and_then(|whole| u16::try_from(whole).ok())
+            .and_then(|whole| u32::try_from(whole).ok())
             .filter(|whole| *whole <= max)
             .ok_or_else(|| self.error(value, format!("{} is no whole number in 0 ..= {max}", shown(value.get_ref()))))
     }
@@ -407,6 +453,14 @@ impl<'a> At<'a> {
             DeValue::String(text) if text == "track" => Ok(Estimate::Track),
             DeValue::String(text) if text == "fix" => Ok(Estimate::Fix),
             other => Err(self.error(value, format!("{} is neither \"track\" nor \"fix\"", shown(other)))),
+        }
+    }
+
+    fn factory_source(&self, value: &Spanned<DeValue<'_>>) -> Result<FactorySource, Error> {
+        match value.get_ref() {
+            DeValue::String(text) if text == "file" => Ok(FactorySource::File),
+            DeValue::String(text) if text == "received" => Ok(FactorySource::Received),
+            other => Err(self.error(value, format!("{} is neither \"file\" nor \"received\"", shown(other)))),
         }
     }
 

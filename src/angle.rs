@@ -3,12 +3,17 @@
 //! A rotor turns 180 degrees per half turn, so `time since sync / half turn` is the angle whatever the rate of the
 //! mote's clock: the lighthouse is the crystal.
 //!
+//! The factory terms are those of the room's file, or, where it asks for that, those that the station itself sends; until
+//! they have come the file's are used ([`Factory`]).
+//!
 //! What can go wrong: a pulse that was no sweep gives an angle outside the rotor's field of view; it is rejected here.
+//! A station that sends terms beyond anything seen is not believed ([`received`]).
 
 mod factory;
 
 pub use factory::Rotor;
 
+use crate::ootx::Block;
 use crate::sweep::{Axis, HALF_TURN_BITS, HalfTurn, Station, Sweep};
 use crate::time::Ticks;
 
@@ -30,6 +35,21 @@ pub struct Config {
     rotors: [[Rotor; 2]; 2],
     /// No rotor has a term but its phase, which saves looking at each sweep's.
     phase_only: bool,
+    /// The stations whose own terms count once they have come.
+    received: [bool; 2],
+}
+
+/// Whose factory terms are in use for a station.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Factory {
+    /// Those of the room's file, as it wants it.
+    #[default]
+    File = 0,
+    /// Those of the room's file, until the station's own have come.
+    Awaited = 1,
+    /// The station's own.
+    Received = 2,
 }
 
 impl Config {
@@ -38,7 +58,13 @@ impl Config {
     pub const fn new(rotors: [[Rotor; 2]; 2]) -> Self {
         let [[az_a, el_a], [az_b, el_b]] = &rotors;
         let phase_only = az_a.is_phase() && el_a.is_phase() && az_b.is_phase() && el_b.is_phase();
-        Self { rotors, phase_only }
+        Self { rotors, phase_only, received: [false; 2] }
+    }
+
+    /// The same, but that the stations marked are asked for their own terms, A and B.
+    #[must_use]
+    pub const fn with_received(self, stations: [bool; 2]) -> Self {
+        Self { received: stations, ..self }
     }
 }
 
@@ -47,6 +73,7 @@ impl Config {
 pub struct State {
     outside: u16,
     newest: [[i32; 2]; 2],
+    received: [Option<[Rotor; 2]>; 2],
 }
 
 impl State {
@@ -54,6 +81,33 @@ impl State {
     #[must_use]
     pub const fn outside(&self) -> u16 {
         self.outside
+    }
+
+    /// Whose factory terms are in use for `station`.
+    #[must_use]
+    pub const fn factory(&self, config: &Config, station: Station) -> Factory {
+        match (config.received[station as usize], &self.received[station as usize]) {
+            (false, _) => Factory::File,
+            (true, None) => Factory::Awaited,
+            (true, Some(_)) => Factory::Received,
+        }
+    }
+}
+
+/// The azimuth and the elevation rotor as their station describes them; `None` where a term is beyond what any station
+/// has, or no number.
+#[must_use]
+pub fn received(block: &Block) -> Option<[Rotor; 2]> {
+    let azimuth = Rotor::received(&block.terms(Axis::Azimuth))?;
+    let elevation = Rotor::received(&block.terms(Axis::Elevation))?;
+    Some([azimuth, elevation])
+}
+
+/// From now on these are the rotors of `station`, if it is asked for its own terms at all.
+#[inline]
+pub fn receive(config: &Config, state: &mut State, station: Station, rotors: [Rotor; 2]) {
+    if config.received[station as usize] {
+        state.received[station as usize] = Some(rotors);
     }
 }
 
@@ -79,8 +133,10 @@ pub fn step(config: &Config, state: &mut State, sweep: Sweep) -> Option<Bearing>
     // A share beyond 2^31 turns negative here, and stays outside the field of view.
     let measured = (sweep.half_turn.share(sweep.since_sync) as i32).wrapping_sub(1 << (HALF_TURN_BITS - 1));
     let (station, axis) = (sweep.station as usize, sweep.axis as usize);
-    let rotor = &config.rotors[station][axis];
-    let ideal = if config.phase_only {
+    let received = if config.received[station] { state.received[station].as_ref() } else { None };
+    let rotor = &received.unwrap_or(&config.rotors[station])[axis];
+    let phase_only = config.phase_only && config.received == [false; 2];
+    let ideal = if phase_only {
         measured.wrapping_add(rotor.phase)
     } else {
         factory::ideal(rotor, measured, state.newest[station][1 - axis])
@@ -89,7 +145,7 @@ pub fn step(config: &Config, state: &mut State, sweep: Sweep) -> Option<Bearing>
         state.outside = state.outside.wrapping_add(1);
         return None;
     }
-    if !config.phase_only {
+    if !phase_only {
         state.newest[station][axis] = ideal;
     }
     Some(Bearing {

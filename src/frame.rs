@@ -1,6 +1,7 @@
 //! Reports as IEEE 802.15.4 data frames, and back.
 //!
-//! One truth for the mote that sends and the listener that reads. All numbers are little-endian.
+//! One truth for the mote that sends and the listener that reads. All numbers are little-endian. Of the three kinds,
+//! this is the fix; the others share bytes 0..17, the sequence and the check with it ([`Health`], [`Angles`]).
 //!
 //! | bytes | what |
 //! |---|---|
@@ -11,9 +12,9 @@
 //! | 7..9 | source: the mote id |
 //! | 9..11 | `LM`: ours |
 //! | 11 | version, [`VERSION`] |
-//! | 12 | kind, 1: a fix |
+//! | 12 | kind: 1 a fix, 2 health, 3 angles |
 //! | 13..15 | mote id |
-//! | 15..17 | sequence of reports, wrapping |
+//! | 15..17 | sequence of reports of any kind, wrapping |
 //! | 17..21 | time of the fix, mote ticks, wrapping |
 //! | 21..25 | measured half turn, ticks, Q8: 8.333 ms on any mote |
 //! | 25..37 | x, y, z in metres, I16F16 |
@@ -31,13 +32,18 @@
 //!
 //! What can go wrong: bytes that are not ours. [`parse`] names what is off and never panics.
 
+mod angles;
+mod health;
+
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
 
+pub use self::angles::{ANGLES, ANGLES_LEN, Angles, Measured, emit_angles};
+pub use self::health::{Factory, HEALTH_LEN, Health, Lock, Rejects, Reset, Station, emit_health};
 pub use crate::track::Level;
 
 /// The format described in the module documentation.
 pub const VERSION: u8 = 1;
-/// Bytes of a whole report frame, FCS included.
+/// Bytes of a whole fix frame, FCS included.
 pub const LEN: usize = 66;
 
 /// Data frame, PAN id compression, frame version 2006, short addresses both (IEEE 802.15.4-2006, 7.2.1.1).
@@ -46,6 +52,8 @@ const FRAME_CONTROL: u16 = 0x9841;
 const BROADCAST: u16 = 0xffff;
 const MAGIC: [u8; 2] = *b"LM";
 const KIND_FIX: u8 = 1;
+const KIND_HEALTH: u8 = 2;
+const KIND_ANGLES: u8 = 3;
 /// Where the level stands in its byte.
 const LEVEL_SHIFT: u32 = 4;
 
@@ -90,6 +98,18 @@ pub struct Report {
     pub losses: Losses,
 }
 
+/// What a frame says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(clippy::large_enum_variant, reason = "a listener has room, and a mote only sends")]
+pub enum Message {
+    /// Where the mote is.
+    Fix(Report),
+    /// How the mote is.
+    Health(Health),
+    /// What the mote measured.
+    Angles(Angles),
+}
+
 /// Who says it, and as which of its reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -106,7 +126,7 @@ pub struct Header {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Reject {
-    /// Not [`LEN`] bytes.
+    /// Not the length of its kind.
     Length,
     /// The frame check sequence does not fit the bytes.
     Fcs,
@@ -122,6 +142,8 @@ pub enum Reject {
     Mote,
     /// Bits of the level or of the stations that mean nothing.
     Level,
+    /// A code or a flag that means nothing.
+    Code,
 }
 
 impl core::fmt::Display for Reject {
@@ -134,6 +156,7 @@ impl core::fmt::Display for Reject {
             Self::Version => "unknown version",
             Self::Kind => "unknown kind of report",
             Self::Level => "level and stations make no sense",
+            Self::Code => "a code that means nothing",
             Self::Mote => "source address is not the mote id",
         })
     }
@@ -167,13 +190,25 @@ pub fn fcs(bytes: &[u8]) -> u16 {
     crc as u16
 }
 
+/// Gives an enum without data back from its number on the wire.
+macro_rules! code {
+    ($name:ident: $($variant:ident),+) => {
+        impl $name {
+            fn of_code(code: u8) -> Result<Self, Reject> {
+                [$(Self::$variant),+].into_iter().find(|known| *known as u8 == code).ok_or(Reject::Code)
+            }
+        }
+    };
+}
+use code;
+
 /// Writes bytes one after another into a frame.
-struct Writer<'a> {
-    bytes: &'a mut [u8; LEN],
+struct Writer<'a, const L: usize> {
+    bytes: &'a mut [u8; L],
     at: usize,
 }
 
-impl Writer<'_> {
+impl<const L: usize> Writer<'_, L> {
     fn put<const N: usize>(&mut self, value: [u8; N]) {
         for byte in value {
             if let Some(place) = self.bytes.get_mut(self.at) {
@@ -186,7 +221,7 @@ impl Writer<'_> {
 
 /// Reads them back.
 struct Reader<'a> {
-    bytes: &'a [u8; LEN],
+    bytes: &'a [u8],
     at: usize,
 }
 
@@ -212,6 +247,27 @@ impl Reader<'_> {
     }
 }
 
+/// Bytes 0..17, the same in every kind.
+#[inline(always)]
+fn envelope<const L: usize>(to: &mut Writer<'_, L>, header: Header, kind: u8) {
+    to.put(FRAME_CONTROL.to_le_bytes());
+    to.put([header.sequence as u8]);
+    to.put(header.pan.to_le_bytes());
+    to.put(BROADCAST.to_le_bytes());
+    to.put(header.mote.to_le_bytes());
+    to.put(MAGIC);
+    to.put([VERSION, kind]);
+    to.put(header.mote.to_le_bytes());
+    to.put(header.sequence.to_le_bytes());
+}
+
+/// Writes the check sequence into the last two bytes.
+fn seal(frame: &mut [u8]) {
+    if let Some((body, check)) = frame.split_last_chunk_mut::<2>() {
+        *check = fcs(body).to_le_bytes();
+    }
+}
+
 /// A frame on a word, where it is cheap to check and a transmitter can read it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(align(4))]
@@ -222,7 +278,7 @@ impl Aligned {
     pub const BLANK: Self = Self([0; LEN]);
 }
 
-/// The whole frame, FCS included.
+/// The whole frame of a fix, FCS included.
 #[must_use]
 pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
     let mut frame = Aligned::BLANK;
@@ -235,15 +291,7 @@ pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
 pub fn emit_into(frame: &mut Aligned, header: Header, report: &Report) {
     let bytes = &mut frame.0;
     let mut to = Writer { bytes, at: 0 };
-    to.put(FRAME_CONTROL.to_le_bytes());
-    to.put([header.sequence as u8]);
-    to.put(header.pan.to_le_bytes());
-    to.put(BROADCAST.to_le_bytes());
-    to.put(header.mote.to_le_bytes());
-    to.put(MAGIC);
-    to.put([VERSION, KIND_FIX]);
-    to.put(header.mote.to_le_bytes());
-    to.put(header.sequence.to_le_bytes());
+    envelope(&mut to, header, KIND_FIX);
     to.put(report.time.to_le_bytes());
     to.put(report.half_turn_q8.to_le_bytes());
     for coordinate in report.position {
@@ -270,8 +318,11 @@ pub fn emit_into(frame: &mut Aligned, header: Header, report: &Report) {
 ///
 /// # Errors
 /// The first thing that shows the bytes are no report of ours.
-pub fn parse(bytes: &[u8]) -> Result<(Header, Report), Reject> {
-    let bytes: &[u8; LEN] = bytes.try_into().map_err(|_| Reject::Length)?;
+pub fn parse(bytes: &[u8]) -> Result<(Header, Message), Reject> {
+    let angles = angles::count(bytes.len());
+    if bytes.len() != LEN && bytes.len() != HEALTH_LEN && angles.is_none() {
+        return Err(Reject::Length);
+    }
     // The CRC over a frame and its own FCS is zero.
     if fcs(bytes) != 0 {
         return Err(Reject::Fcs);
@@ -291,9 +342,7 @@ pub fn parse(bytes: &[u8]) -> Result<(Header, Report), Reject> {
     if from.u8() != VERSION {
         return Err(Reject::Version);
     }
-    if from.u8() != KIND_FIX {
-        return Err(Reject::Kind);
-    }
+    let kind = from.u8();
     let mote = from.u16();
     let sequence = from.u16();
     if mote != source {
@@ -302,6 +351,18 @@ pub fn parse(bytes: &[u8]) -> Result<(Header, Report), Reject> {
     if sequence as u8 != mac_sequence {
         return Err(Reject::Header);
     }
+    let message = match (kind, angles) {
+        (KIND_FIX, _) if bytes.len() == LEN => Message::Fix(fix(&mut from)?),
+        (KIND_HEALTH, _) if bytes.len() == HEALTH_LEN => Message::Health(health::parse(&mut from)?),
+        (KIND_ANGLES, Some(count)) => Message::Angles(angles::parse(&mut from, count)?),
+        (KIND_FIX | KIND_HEALTH | KIND_ANGLES, _) => return Err(Reject::Length),
+        _ => return Err(Reject::Kind),
+    };
+    Ok((Header { pan, mote, sequence }, message))
+}
+
+/// What follows the envelope of a fix.
+fn fix(from: &mut Reader<'_>) -> Result<Report, Reject> {
     let mut report = Report {
         time: from.u32(),
         half_turn_q8: from.u32(),
@@ -331,5 +392,5 @@ pub fn parse(bytes: &[u8]) -> Result<(Header, Report), Reject> {
     if report.stations > 3 {
         return Err(Reject::Level);
     }
-    Ok((Header { pan, mote, sequence }, report))
+    Ok(report)
 }

@@ -10,6 +10,8 @@ pub mod pulse;
 
 pub mod sweep;
 
+pub mod ootx;
+
 pub mod angle;
 
 pub mod fix;
@@ -32,6 +34,7 @@ mod on_target {
     pub(crate) mod cycle;
     mod fix;
     mod frame;
+    mod ootx;
     mod pulse;
     mod sweep;
 }
@@ -41,5 +44,6 @@ mod on_target {
 #[path = "../tests/host"]
 mod on_host {
     mod direction;
+    mod ootx;
     mod properties;
 }

@@ -4,7 +4,8 @@
 #[cfg(target_os = "none")]
 mod harness;
 
-use lighthouse_mote::angle::{Angle, Config, FIELD_OF_VIEW, Rotor, State, step};
+use lighthouse_mote::angle::{Angle, Config, FIELD_OF_VIEW, Factory, Rotor, State, receive, received, step};
+use lighthouse_mote::ootx::{BLOCK_BYTES, Block};
 use lighthouse_mote::sweep::{Axis, HALF_TURN_BITS, HalfTurn, Station, Sweep};
 use lighthouse_mote::time::{Span, Ticks};
 
@@ -14,6 +15,15 @@ const HALF_TURNS: [u32; 5] = [HalfTurn::MIN_TICKS, 75_000, 90_167, 133_333, Half
 fn sweep(half_turn_ticks: u32, since_sync: u32) -> Sweep {
     let Some(half_turn) = HalfTurn::from_ticks_q8(half_turn_ticks << 8) else { panic!("in range") };
     Sweep { station: Station::B, axis: Axis::Elevation, at: Ticks(77), since_sync: Span(since_sync), half_turn }
+}
+
+/// A block of zeros but for the elevation rotor's terms, half floats: phase, tilt, gibphase, gibmag.
+fn block(terms: [u16; 4]) -> Block {
+    let mut bytes = [0; BLOCK_BYTES];
+    for (at, term) in [8, 12, 25, 29].into_iter().zip(terms) {
+        bytes[at..at + 2].copy_from_slice(&term.to_le_bytes());
+    }
+    Block::new(bytes)
 }
 
 #[cfg_attr(target_os = "none", defmt_test::tests)]
@@ -100,6 +110,52 @@ mod tests {
             let Some(bearing) = step(&config, &mut state, sweep(90_000, 45_000)) else { panic!("in view") };
             // Sines and cosines are kept to 8e-5.
             assert!(bearing.angle.0.abs_diff(seen) <= 3, "{:?} for {seen}", bearing.angle);
+        }
+    }
+
+    #[test]
+    fn received_terms_count_where_they_were_asked_for() {
+        let file = Rotor { phase: 1_000, ..Rotor::default() };
+        let config = Config::new([[file; 2]; 2]);
+        // 0.0625 rad are 20,860.8 units.
+        let Some(rotors) = received(&block([0x2c00, 0, 0, 0])) else { panic!("plausible") };
+        let angle = |config: &Config, state: &mut State, station| {
+            let sweep = Sweep { station, ..sweep(90_000, 45_000) };
+            step(config, state, sweep).map(|bearing| bearing.angle.0)
+        };
+        for asked in [[false, false], [true, false], [false, true], [true, true]] {
+            let config = config.with_received(asked);
+            let mut state = State::default();
+            for (station, asked) in [Station::A, Station::B].into_iter().zip(asked) {
+                let waiting = if asked { Factory::Awaited } else { Factory::File };
+                assert_eq!(state.factory(&config, station), waiting);
+                assert_eq!(angle(&config, &mut state, station), Some(1_000));
+                receive(&config, &mut state, station, rotors);
+                let (factory, seen) = if asked { (Factory::Received, 20_861) } else { (Factory::File, 1_000) };
+                assert_eq!(state.factory(&config, station), factory);
+                assert_eq!(angle(&config, &mut state, station), Some(seen));
+            }
+        }
+    }
+
+    #[test]
+    fn a_received_once_per_turn_term_is_split_by_its_phase() {
+        // gibmag 0.01 rad, 3,338 units, as a half float; gibphase 0, a right angle, and 2 rad.
+        for (gibphase, sin, cos) in
+            [(0x0000, 0, 3_338), (0x3e48, 3_338, 0), (0xbe48, -3_338, 0), (0x4000, 3_035, -1_389)]
+        {
+            let Some([azimuth, elevation]) = received(&block([0, 0, gibphase, 0x211f])) else { panic!("plausible") };
+            assert_eq!(azimuth, Rotor::default());
+            assert!(elevation.gibbous_cos.abs_diff(sin) <= 2, "{elevation:?}");
+            assert!(elevation.gibbous_sin.abs_diff(cos) <= 2, "{elevation:?}");
+        }
+    }
+
+    #[test]
+    fn a_station_that_talks_nonsense_is_not_believed() {
+        // 0.5 rad of phase; infinity; no number.
+        for terms in [[0x3800, 0, 0, 0], [0, 0x7c00, 0, 0], [0, 0, 0x7e00, 0], [0, 0, 0, 0xfc00]] {
+            assert_eq!(received(&block(terms)), None);
         }
     }
 

@@ -12,7 +12,7 @@ use super::cycle;
 use cycle::{Cycle, PULSES_PER_SLOT};
 use lighthouse_mote::chain::{Chain, Config, Estimate};
 use lighthouse_mote::edge::Edge;
-use lighthouse_mote::frame::{Header, Level, Report, emit, parse};
+use lighthouse_mote::frame::{Header, Level, Message, Report, emit, parse};
 
 mod room {
     #![allow(dead_code, reason = "what a board wants besides the room")]
@@ -84,6 +84,6 @@ mod tests {
         let cycle = Cycle { sweep_after: SWEEP_AFTER, ..Cycle::TYPICAL };
         let (_, Some(report)) = reports(&config(Estimate::Track, 1), &cycle, 30) else { panic!("no report") };
         let header = Header { pan: room::PAN, mote: room::MOTE, sequence: 7 };
-        assert!(parse(&emit(header, &report)) == Ok((header, report)));
+        assert!(parse(&emit(header, &report)) == Ok((header, Message::Fix(report))));
     }
 }

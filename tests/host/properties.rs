@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use crate::angle;
 use crate::edge::{Edge, Level};
-use crate::frame::{self, Header, LEN, Losses, Report};
+use crate::frame::{self, ANGLES_LEN, Angles, Header, Health, LEN, Losses, Measured, Message, Rejects, Report};
 use crate::on_target::cycle::{Cycle, HALF_TURN};
 use crate::pulse::{self, Pulse};
 use crate::sweep::{self, Axis, HALF_TURN_BITS, HalfTurn, Light, Station, Sweep};
@@ -260,7 +260,64 @@ proptest! {
             sd: sd.map(fixed::types::U0F16::from_bits),
             losses: Losses { edges, pulses, sweeps, fixes, reports },
         };
-        prop_assert_eq!(frame::parse(&frame::emit(header, &report)), Ok((header, report)));
+        prop_assert_eq!(frame::parse(&frame::emit(header, &report)), Ok((header, Message::Fix(report))));
+    }
+
+    #[test]
+    fn health_comes_back_as_it_left(
+        (pan, mote, sequence, uptime, half_turn_q8) in any::<(u16, u16, u16, u32, u32)>(),
+        (lock, reset, reset_detail) in (0..7usize, 0..5usize, any::<u32>()),
+        (syncs, sweeps, waiting) in any::<([u16; 2], [[u16; 2]; 2], [u8; 3])>(),
+        counts in any::<[u16; 12]>(),
+        stations in prop::array::uniform2((any::<(u32, [u8; 4], i8, bool)>(), 0..3usize)),
+    ) {
+        use frame::{Factory, Lock, Reset};
+        let header = Header { pan, mote, sequence };
+        let [edges, strays, widths, short, long, second, outside, geometry, mismatch, disbelieved, reports, locks] = counts;
+        let health = Health {
+            uptime,
+            half_turn_q8,
+            lock: [
+                Lock::NoLight, Lock::Searching, Lock::Locked, Lock::OneStation, Lock::Spacing, Lock::Widths, Lock::V2,
+            ][lock],
+            reset: [Reset::PowerOn, Reset::Requested, Reset::Fault, Reset::Panic, Reset::Watchdog][reset],
+            reset_detail,
+            syncs,
+            sweeps,
+            rejects: Rejects {
+                edges, strays, widths, short, long, second, outside, geometry, mismatch, disbelieved, reports, locks,
+            },
+            waiting,
+            stations: stations.map(|((id, [good, bad, mode, faults], width_bias, is_stranger), factory)| frame::Station {
+                id,
+                good,
+                bad,
+                mode,
+                faults,
+                width_bias,
+                factory: [Factory::File, Factory::Awaited, Factory::Received][factory],
+                is_stranger,
+            }),
+        };
+        prop_assert_eq!(frame::parse(&frame::emit_health(header, &health)), Ok((header, Message::Health(health))));
+    }
+
+    #[test]
+    fn angles_come_back_as_they_left(
+        (pan, mote, sequence, half_turn_q8) in any::<(u16, u16, u16, u32)>(),
+        sweeps in prop::collection::vec((any::<u32>(), 0..4u8, 0..1u32 << 24), 1..=8),
+    ) {
+        let header = Header { pan, mote, sequence };
+        let mut angles = Angles { half_turn_q8, ..Angles::default() };
+        for (time, rotor, share) in sweeps {
+            let station = if rotor & 1 == 0 { Station::A } else { Station::B };
+            let axis = if rotor & 2 == 0 { Axis::Azimuth } else { Axis::Elevation };
+            angles.sweeps.push(Measured { time, station, axis, share }).expect("at most eight");
+        }
+        let mut bytes = [0; ANGLES_LEN];
+        prop_assert_eq!(
+            frame::parse(frame::emit_angles(header, &angles, &mut bytes)), Ok((header, Message::Angles(angles)))
+        );
     }
 
     #[test]
@@ -293,8 +350,41 @@ proptest! {
         }
         let check = frame::fcs(&bytes[..LEN - 2]).to_le_bytes();
         bytes[LEN - 2..].copy_from_slice(&check);
-        if let Ok((header, report)) = frame::parse(&bytes) {
+        if let Ok((header, Message::Fix(report))) = frame::parse(&bytes) {
             prop_assert_eq!(frame::emit(header, &report), bytes);
+        }
+    }
+
+    #[test]
+    fn bytes_of_any_kind_that_parse_are_the_bytes_that_emit_would_write(
+        kind in 0..5u8, length in prop_oneof![Just(66usize), Just(92), (1..=8usize).prop_map(|n| 23 + 8 * n), 0..128usize],
+        tail in prop::collection::vec(any::<u8>(), 128), is_tame in any::<bool>(),
+    ) {
+        // A right envelope and a right check sequence around anything.
+        let mut bytes = frame::emit(Header { pan: 1, mote: 2, sequence: 3 }, &Report::default())[..17].to_vec();
+        bytes[12] = kind;
+        bytes.extend(tail);
+        bytes.truncate(length.max(19));
+        if is_tame {
+            // Codes that mean something.
+            for at in [25, 26, 33, 41, 49, 57, 65, 73, 79, 81, 89] {
+                if let Some(byte) = bytes.get_mut(at) {
+                    *byte &= 1;
+                }
+            }
+        }
+        let end = bytes.len() - 2;
+        let check = frame::fcs(&bytes[..end]).to_le_bytes();
+        bytes[end..].copy_from_slice(&check);
+        match frame::parse(&bytes) {
+            Ok((header, Message::Fix(report))) => prop_assert_eq!(frame::emit(header, &report).to_vec(), bytes),
+            Ok((header, Message::Health(health))) => {
+                prop_assert_eq!(frame::emit_health(header, &health).to_vec(), bytes);
+            }
+            Ok((header, Message::Angles(angles))) => {
+                prop_assert_eq!(frame::emit_angles(header, &angles, &mut [0; ANGLES_LEN]).to_vec(), bytes);
+            }
+            Err(_) => {}
         }
     }
 }

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use defmt_decoder::{DecodeError, StreamDecoder, Table};
-use lighthouse_mote::frame;
+use lighthouse_mote::frame::{self, Header, Message, Report};
 use serde_json::json;
 use sim::mote::{Load, Mote};
 use sim::scum3c::SentFrame;
@@ -176,6 +176,8 @@ struct Session {
     garbled: u64,
     losses: frame::Losses,
     missing: u64,
+    /// Of the last frame, whatever its kind.
+    sequence: Option<u16>,
     edges: VecDeque<(u64, bool)>,
     started: Load,
     elf: Vec<u8>,
@@ -210,6 +212,7 @@ impl Session {
             garbled: 0,
             losses: frame::Losses::default(),
             missing: 0,
+            sequence: None,
             edges: VecDeque::new(),
             started: Load::default(),
             elf,
@@ -319,26 +322,34 @@ impl Session {
     fn hear(&mut self, sent: SentFrame) -> Result<()> {
         let micros = (1e6 * self.seconds(sent.start_cycle)) as u64;
         match frame::parse(&sent.bytes) {
-            Ok((header, report)) => {
-                if let Some(last) = self.fixes.last() {
-                    self.missing += u64::from(header.sequence.wrapping_sub(last.sequence).wrapping_sub(1));
+            Ok((header, message)) => {
+                if let Some(last) = self.sequence.replace(header.sequence) {
+                    self.missing += u64::from(header.sequence.wrapping_sub(last).wrapping_sub(1));
                 }
-                let sighted = self.mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
-                self.fixes.push(FixRow {
-                    cycle: sent.start_cycle,
-                    sighted,
-                    seconds: self.seconds(sighted),
-                    position: report.position.map(f64::from),
-                    mismatch_m: f64::from(report.mismatch),
-                    age_s: f64::from(report.age) * HALF_TURN_S,
-                    sequence: header.sequence,
-                    truth: self.truth_at(sighted),
-                });
-                self.losses = report.losses;
+                if let Message::Fix(report) = message {
+                    self.take(sent.start_cycle, header, report)?;
+                }
             }
             Err(_) => self.garbled += 1,
         }
         self.frames.push(pcap::Frame { micros, bytes: sent.bytes });
+        Ok(())
+    }
+
+    /// Takes one fix, sent at `cycle`.
+    fn take(&mut self, cycle: u64, header: Header, report: Report) -> Result<()> {
+        let sighted = self.mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
+        self.fixes.push(FixRow {
+            cycle,
+            sighted,
+            seconds: self.seconds(sighted),
+            position: report.position.map(f64::from),
+            mismatch_m: f64::from(report.mismatch),
+            age_s: f64::from(report.age) * HALF_TURN_S,
+            sequence: header.sequence,
+            truth: self.truth_at(sighted),
+        });
+        self.losses = report.losses;
         Ok(())
     }
 

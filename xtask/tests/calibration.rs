@@ -55,7 +55,7 @@ fn a_key_that_nobody_knows_is_refused() {
     assert_eq!(
         complaint(&with("pan = ", "pam = ")),
         format!(
-            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, max_angle_age_ms"
+            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, max_angle_age_ms, factory"
         )
     );
 }
@@ -115,4 +115,51 @@ fn a_mote_s_own_settings_go_before_those_of_the_room() {
     assert_eq!((mote.id, mote.estimate, mote.pan), (7, Estimate::Fix, Mote::default().pan));
     let said = Mote::default().with("own", "id = 7\nidd = 8").expect_err("a typo").to_string();
     assert!(said.starts_with("own:2: idd: unknown"), "{said}");
+}
+
+#[test]
+fn factory_terms_are_the_files_unless_somebody_asks() {
+    let received = |text: &str| schema::read("room.toml", text).expect("a good file").received();
+    assert_eq!(received(GOOD), [false, false]);
+    assert_eq!(received(&with("[mote]", "[mote]\nfactory = \"received\"")), [true, true]);
+    assert_eq!(
+        received(&with("[station.A.factory.az]", "[station.A.factory]\nsource = \"received\"\n[station.A.factory.az]")),
+        [true, false]
+    );
+    let terms = "[station.B.factory.az]\nphase = 0.015264\n[station.B.factory.el]\nphase = 0.020820\n";
+    let bare = with(terms, "");
+    assert_eq!(received(&bare.replace("[station.B]", "[station.B]\nfactory = \"received\"")), [false, true]);
+    let both = bare
+        .replace("[station.B]", "[station.B]\nfactory = \"file\"")
+        .replace("[mote]", "[mote]\nfactory = \"received\"");
+    assert_eq!(received(&both), [true, false]);
+    let calibration = schema::read("room.toml", &both).expect("a good file");
+    assert_eq!(calibration.stations[1].factory, [schema::Rotor::default(); 2]);
+    let source = firmware::source("room.toml", &calibration).expect("a room that can be held");
+    assert!(source.contains(".with_received([true, false])"), "{source}");
+}
+
+#[test]
+fn a_wish_that_nobody_knows_is_refused() {
+    let line = line_of("[mote]") + 1;
+    assert_eq!(
+        complaint(&with("[mote]", "[mote]\nfactory = \"guessed\"")),
+        format!("room.toml:{line}: mote.factory: \"guessed\" is neither \"file\" nor \"received\"")
+    );
+}
+
+#[test]
+fn a_serial_number_is_32_bits() {
+    let ids = |text: &str| schema::read("room.toml", text).expect("a good file").stations.map(|station| station.id);
+    assert_eq!(ids(GOOD), [None, None]);
+    let named = with("[station.A]", "[station.A]\nid = 3_200_290_360");
+    assert_eq!(ids(&named), [Some(3_200_290_360), None]);
+    let calibration = schema::read("room.toml", &named).expect("a good file");
+    let source = firmware::source("room.toml", &calibration).expect("a room that can be held");
+    assert!(source.contains("ids: [Some(3200290360), None]"), "{source}");
+    let line = line_of("[station.A]") + 1;
+    assert_eq!(
+        complaint(&with("[station.A]", "[station.A]\nid = 4294967296")),
+        format!("room.toml:{line}: station.A.id: 4294967296 is no whole number in 0 ..= 4294967295")
+    );
 }

@@ -98,7 +98,8 @@ pub(super) fn run(elf: &[u8], run: &Run) -> Result<Whole> {
     let mut delays = Vec::new();
     for sent in mote.take_frames().collect::<Vec<_>>() {
         whole.frames += 1;
-        let (_, report) = frame::parse(&sent.bytes).ok().context("a frame that cannot be read")?;
+        let (_, message) = frame::parse(&sent.bytes).ok().context("a frame that cannot be read")?;
+        let frame::Message::Fix(report) = message else { continue };
         let stamped = mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
         let at = lasers.partition_point(|&laser| laser < stamped);
         let nearest = lasers[at.saturating_sub(1)..].iter().take(2).min_by_key(|laser| laser.abs_diff(stamped));

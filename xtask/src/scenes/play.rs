@@ -70,7 +70,8 @@ enum Heard {
 
 fn hear(bytes: &[u8]) -> Heard {
     match frame::parse(bytes) {
-        Ok((header, report)) => Heard::Fix(header.sequence, report),
+        Ok((header, frame::Message::Fix(report))) => Heard::Fix(header.sequence, report),
+        Ok(_) => Heard::Other,
         Err(frame::Reject::Kind) => Heard::Other,
         Err(_) => Heard::Garbled,
     }

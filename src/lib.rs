@@ -42,4 +42,5 @@ mod on_target {
 mod on_host {
     mod direction;
     mod properties;
+    mod recordings;
 }

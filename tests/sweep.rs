@@ -11,7 +11,8 @@ use super::cycle;
 use lighthouse_mote::angle;
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::sweep::{
-    Axis, Config, HALF_TURN_BITS, HalfTurn, Light, Stamp, State, Station, Sweep, Sync, expire, nearest_width, step,
+    Axis, Closed, Config, HALF_TURN_BITS, HalfTurn, Light, Stamp, State, Station, Sweep, Sync, expire, nearest_width,
+    step,
 };
 use lighthouse_mote::time::Span;
 
@@ -21,6 +22,8 @@ const CONFIG: Config = Config::DEFAULT;
 /// Slots after which the cycle must be known, from whichever slot the mote wakes in: two to find the flashes, two
 /// until the skip passes from one station to the other.
 const LOCKED: u32 = 4;
+/// Slots after which every rotor's last sweep is known, and the next is said at once.
+const SETTLED: u32 = 2 * LOCKED;
 
 /// Feeds a whole number of slots; the state at their end.
 fn after(cycle: Cycle, first: u32, slots: u32) -> State {
@@ -40,6 +43,12 @@ fn sweep_of(light: Option<Light>) -> Option<Sweep> {
 
 #[track_caller]
 fn assert_understood(cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Light>) {
+    // The flash, the two edges of the sweep and their middle are each cut to whole ticks.
+    assert_understood_within(2, cycle, truth, pulse, light);
+}
+
+#[track_caller]
+fn assert_understood_within(ticks: u32, cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Light>) {
     match truth {
         Truth::Sync(sync) => assert_eq!(light, Some(Light::Sync(sync))),
         Truth::Sweep(station, axis) => {
@@ -47,8 +56,7 @@ fn assert_understood(cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Li
             let middle = pulse.start.after(Span(pulse.width.0 / 2));
             assert_eq!((sweep.station, sweep.axis, sweep.at), (station, axis, middle));
             let span = cycle.span(u64::from(cycle.sweep_after[station as usize][axis as usize]));
-            // The flash, the two edges of the sweep and their middle are each cut to whole ticks.
-            assert!(sweep.since_sync.0.abs_diff(span.0) <= 2, "{:?} for {span:?}", sweep.since_sync);
+            assert!(sweep.since_sync.0.abs_diff(span.0) <= ticks, "{:?} for {span:?}", sweep.since_sync);
         }
     }
 }
@@ -56,8 +64,8 @@ fn assert_understood(cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Li
 /// Locks, then expects every pulse of `slots` more slots to be understood.
 #[track_caller]
 fn assert_all_understood(cycle: Cycle, slots: u32) {
-    let mut state = after(cycle, 0, LOCKED);
-    for (truth, pulse) in cycle.pulses(LOCKED, slots) {
+    let mut state = after(cycle, 0, SETTLED);
+    for (truth, pulse) in cycle.pulses(SETTLED, slots) {
         assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
     }
     assert_eq!(state.counts().locks_lost, 0);
@@ -110,8 +118,19 @@ mod tests {
         let cycle = Cycle::TYPICAL;
         for first in 0..4 {
             let mut state = after(cycle, first, LOCKED);
-            for (truth, pulse) in cycle.pulses(first + LOCKED, 4) {
-                assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+            // The first sweeps wait for the ends of their slots.
+            for (n, (truth, pulse)) in (0..).zip(cycle.pulses(first + LOCKED, 5)) {
+                let light = step(&CONFIG, &mut state, pulse);
+                match truth {
+                    Truth::Sync(_) => assert_understood(&cycle, truth, pulse, light),
+                    Truth::Sweep(..) if n < 12 => assert_eq!(light, None),
+                    Truth::Sweep(..) => assert_understood(&cycle, truth, pulse, light),
+                }
+                if n >= 3 && n % 3 == 0 {
+                    let (truth, pulse) = cycle.pulse(first + LOCKED + n / 3 - 1, 2);
+                    let Some(Closed::Sweep(sweep)) = state.closed() else { panic!("a sweep was lost") };
+                    assert_understood(&cycle, truth, pulse, Some(Light::Sweep(sweep)));
+                }
             }
         }
     }
@@ -127,10 +146,10 @@ mod tests {
         let cycle = Cycle::TYPICAL;
         for missing in 1..3 {
             let mut state = State::default();
-            for (_, pulse) in cycle.pulses(0, 6).skip(missing) {
+            for (_, pulse) in cycle.pulses(0, 10).skip(missing) {
                 step(&CONFIG, &mut state, pulse);
             }
-            for (truth, pulse) in cycle.pulses(6, 4) {
+            for (truth, pulse) in cycle.pulses(10, 4) {
                 assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
             }
         }
@@ -176,7 +195,8 @@ mod tests {
                 assert!(off <= u64::from(TWO_TICKS), "{off} units off at {clock} Hz");
                 seen += 1;
             }
-            assert!(seen >= 36);
+            // The first cycle's wait for the ends of their slots.
+            assert!(seen >= 32);
         }
     }
 
@@ -212,21 +232,23 @@ mod tests {
                 let (truth, pulse) = cycle.pulse(slot, index);
                 let moved = Pulse { start: pulse.start.before(Span(zero.0.wrapping_sub(start))), ..pulse };
                 let light = step(&CONFIG, &mut state, moved);
-                if slot >= LOCKED {
-                    assert_understood(&cycle, truth, moved, light);
+                if slot >= SETTLED {
+                    // The half turn is 0.2 s old, so a turn later its flash is predicted 0.02 % of a turn wrong, half of
+                    // which is made good: 17 ticks.
+                    assert_understood_within(25, &cycle, truth, moved, light);
                     understood += 1;
                 }
             }
             start += cycle.span(HALF_TURN).0;
         }
-        assert_eq!(understood, 3 * (240 - LOCKED));
+        assert_eq!(understood, 3 * (240 - SETTLED));
     }
 
     #[test]
     fn a_lost_flash_costs_nothing_else() {
         let cycle = Cycle::TYPICAL;
         for lost in 0..2 {
-            for lost_slot in LOCKED..LOCKED + 4 {
+            for lost_slot in SETTLED..SETTLED + 4 {
                 let mut state = after(cycle, 0, lost_slot);
                 for (n, (truth, pulse)) in (0..).zip(cycle.pulses(lost_slot, 4)) {
                     if n != lost {
@@ -280,8 +302,12 @@ mod tests {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 12);
         let again = 12 + u32::from(CONFIG.coast_half_turns) - 2;
-        for (truth, pulse) in cycle.pulses(again, 8) {
-            assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+        for (n, (truth, pulse)) in (0..).zip(cycle.pulses(again, 8)) {
+            let light = step(&CONFIG, &mut state, pulse);
+            // Where the lasers are is an open question again, for a cycle.
+            if matches!(truth, Truth::Sync(_)) || n >= 12 {
+                assert_understood(&cycle, truth, pulse, light);
+            }
         }
     }
 
@@ -293,10 +319,10 @@ mod tests {
         let (_, pulse) = cycle.pulse(again, 0);
         assert_eq!(step(&CONFIG, &mut state, pulse), Some(Light::Lost));
         assert_eq!(state.half_turn(), None);
-        for (_, pulse) in cycle.pulses(again, LOCKED).skip(1) {
+        for (_, pulse) in cycle.pulses(again, SETTLED).skip(1) {
             assert_ne!(step(&CONFIG, &mut state, pulse), Some(Light::Lost));
         }
-        for (truth, pulse) in cycle.pulses(again + LOCKED, 4) {
+        for (truth, pulse) in cycle.pulses(again + SETTLED, 4) {
             assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
         }
         assert_eq!(state.counts().locks_lost, 1);
@@ -318,26 +344,25 @@ mod tests {
     fn a_slot_without_a_sweep_is_said_once() {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 8);
-        state.dark_slot();
-        for index in 0..2 {
-            step(&CONFIG, &mut state, cycle.pulse(8, index).1);
-            assert_eq!(state.dark_slot(), None);
-        }
+        step(&CONFIG, &mut state, cycle.pulse(8, 0).1);
+        assert!(matches!(state.closed(), Some(Closed::Sweep(_))));
+        step(&CONFIG, &mut state, cycle.pulse(8, 1).1);
+        assert_eq!(state.closed(), None);
         step(&CONFIG, &mut state, cycle.pulse(9, 0).1);
-        assert_eq!(state.dark_slot(), state.half_turn());
-        assert_eq!(state.dark_slot(), None);
+        assert_eq!(state.closed(), state.half_turn().map(Closed::Dark));
+        assert_eq!(state.closed(), None);
         for index in 1..3 {
             step(&CONFIG, &mut state, cycle.pulse(9, index).1);
         }
         step(&CONFIG, &mut state, cycle.pulse(10, 0).1);
-        assert_eq!(state.dark_slot(), None);
+        assert_eq!(state.closed(), None);
     }
 
     #[test]
     fn stray_light_is_counted_and_changes_nothing() {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 8);
-        let mut strays = state.counts().strays;
+        let mut turned_away = state.counts().turned_away;
         for slot in 8..16 {
             for index in 0..3 {
                 let (truth, pulse) = cycle.pulse(slot, index);
@@ -347,11 +372,11 @@ mod tests {
                 // Between the flashes there is no room for one.
                 if index > 0 {
                     assert_eq!(step(&CONFIG, &mut state, stray), None);
-                    strays += 1;
+                    turned_away += 1;
                 }
             }
         }
-        assert_eq!(state.counts().strays, strays);
+        assert_eq!(state.counts().turned_away, turned_away);
     }
 
     #[test]
@@ -374,7 +399,7 @@ mod tests {
     fn a_second_sweep_in_a_slot_is_a_reflection() {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 8);
-        let strays = state.counts().strays;
+        let seconds = state.counts().seconds;
         for (truth, pulse) in cycle.pulses(8, 4) {
             assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
             if let Truth::Sweep(..) = truth {
@@ -382,7 +407,7 @@ mod tests {
                 assert_eq!(step(&CONFIG, &mut state, echo), None);
             }
         }
-        assert_eq!(state.counts().strays, strays + 4);
+        assert_eq!(state.counts().seconds, seconds + 4);
     }
 
     #[test]
@@ -390,20 +415,14 @@ mod tests {
         let cycle = Cycle::TYPICAL;
         let shorter = cycle.span(48 * 9);
         let mut state = State::default();
-        for (n, (truth, pulse)) in (0..).zip(cycle.pulses(0, 12)) {
+        for (n, (truth, pulse)) in (0..).zip(cycle.pulses(0, 40)) {
             let width = match truth {
                 Truth::Sync(_) => Span(pulse.width.0 - shorter.0),
                 Truth::Sweep(..) => pulse.width,
             };
             let light = step(&CONFIG, &mut state, Pulse { width, ..pulse });
-            // The data bit is read off the absolute width and may be wrong; nothing else may.
-            if n >= 3 * LOCKED {
-                match (truth, light) {
-                    (Truth::Sync(sync), Some(Light::Sync(seen))) => {
-                        assert_eq!(Sync { data: sync.data, ..seen }, sync);
-                    }
-                    _ => assert_understood(&cycle, truth, pulse, light),
-                }
+            if n >= 3 * SETTLED {
+                assert_understood(&cycle, truth, pulse, light);
             }
         }
     }

@@ -71,6 +71,7 @@ enum Rest {
 
 /// The cycle, followed by dead reckoning from flash to flash.
 #[derive(Debug, Clone, Default)]
+#[repr(C)]
 pub(super) struct Lock {
     // In the order of need: a Cortex-M0 reaches the first 31 words cheaply.
     pub(super) phase: Phase,
@@ -279,11 +280,12 @@ impl Lock {
     pub(super) fn place(&mut self, config: &Config, counts: &mut Counts, pulse: Pulse) -> Option<Light> {
         let window = self.units.half_turn >> config.window_shift;
         let next = self.next[(self.slot & 1) as usize];
-        for station in [Station::A, Station::B] {
-            let off = pulse.start.offset_from(next[station as usize]);
-            if off.unsigned_abs() <= window {
-                return self.flash(config, counts, station, off, pulse.width.0);
-            }
+        let after_a = pulse.start.offset_from(next[Station::A as usize]);
+        let after_b = pulse.start.offset_from(next[Station::B as usize]);
+        let (station, rise) =
+            if after_a.unsigned_abs() <= window { (Station::A, after_a) } else { (Station::B, after_b) };
+        if rise.unsigned_abs() <= window {
+            return self.flash(config, counts, station, rise, pulse.width.0);
         }
         self.laser(config, counts, pulse)
     }
@@ -295,7 +297,7 @@ impl Lock {
     }
 
     /// A pulse that rises `rise` after the station's next flash should.
-    #[inline]
+    #[inline(never)]
     fn flash(
         &mut self,
         config: &Config,
@@ -325,17 +327,23 @@ impl Lock {
         let spread = fall - rise;
         let mut width_off = spread.unsigned_abs();
         let mut off = if fall.unsigned_abs() < rise.unsigned_abs() { fall } else { rise };
-        let noise = &mut self.noise[station as usize];
-        *noise +=
-            (spread.abs_diff(core::mem::replace(&mut self.spread[station as usize], spread)) >> 3).min(step as u32);
-        *noise -= *noise >> 3;
-        if *noise > self.units.half_turn >> TOLERANCE_SHIFT {
+        let base = (self.units.half_turn >> TOLERANCE_SHIFT) as i32;
+        // Once the receiver is known, a flash per cycle is enough to hear of it.
+        let is_new = self.tolerance > base as u32;
+        let is_told = self.slot == station as u32 || is_new;
+        if is_told {
+            let earlier = core::mem::replace(&mut self.spread[station as usize], spread);
+            let noise = &mut self.noise[station as usize];
+            // One odd flash later on makes no noisy station.
+            *noise += spread.abs_diff(earlier).min((step << if is_new { 3 } else { 0 }) as u32) >> 3;
+            *noise -= *noise >> 3;
+        }
+        if self.noise[station as usize] > base as u32 {
             off = self.settle(station, rise, fall);
             width_off = 0;
             self.off[station as usize] = off;
         }
         let earlier = core::mem::replace(&mut self.off[station as usize], off);
-        let base = (self.units.half_turn >> TOLERANCE_SHIFT) as i32;
         let mut moved = (off + 1) >> 1;
         if off.unsigned_abs() > self.tolerance || fall.unsigned_abs() > (step + step / 2) as u32 {
             // Two in a row that say the same, of the right width, are where the flashes are now.
@@ -349,7 +357,7 @@ impl Lock {
                 return None;
             }
             moved = off;
-        } else if self.tolerance > base as u32 {
+        } else if is_new {
             moved = off;
             self.bias_q3[station as usize] += spread * 4;
         } else {
@@ -357,7 +365,7 @@ impl Lock {
             if moved.unsigned_abs() > slew as u32 && (off ^ earlier < 0 || earlier.unsigned_abs() <= 2 * slew as u32) {
                 moved = moved.clamp(-slew, slew);
             }
-            if self.slot == station as u32 && spread.unsigned_abs() <= step as u32 {
+            if is_told && spread.unsigned_abs() <= step as u32 {
                 self.bias_q3[station as usize] += spread;
             }
         }
@@ -518,7 +526,7 @@ impl Lock {
     }
 
     /// A pulse between the flashes.
-    #[inline]
+    #[inline(never)]
     fn laser(&mut self, config: &Config, counts: &mut Counts, pulse: Pulse) -> Option<Light> {
         if self.phase != Phase::Locked || self.measures == 0 {
             counts.stray();

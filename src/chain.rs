@@ -10,7 +10,7 @@ use fixed::types::{I6F10, I16F16, U0F16, U8F8};
 
 use crate::edge::Edge;
 use crate::frame::{Level, Losses, Report};
-use crate::sweep::{HalfTurn, Light, Sweep};
+use crate::sweep::{Closed, HalfTurn, Light, Sweep};
 use crate::time::Ticks;
 use crate::{angle, fix, pulse, sweep, track};
 
@@ -51,7 +51,7 @@ pub struct Sighting {
     pub seen: Seen,
     /// Edges without a partner so far, wrapping.
     pub edges_lost: u16,
-    /// Pulses that fit no window so far, wrapping.
+    /// Pulses that were turned away so far, wrapping.
     pub pulses_lost: u16,
 }
 
@@ -90,29 +90,33 @@ impl Classifier {
     /// Takes one pulse, where a board's capture already pairs the edges.
     #[inline]
     pub fn pulse(&mut self, config: &Config, pulse: pulse::Pulse) -> Option<Sighting> {
-        match sweep::step(&config.sweep, &mut self.sweep, pulse)? {
-            Light::Sweep(sweep) => self.sighting(Seen::Sweep(sweep)),
-            Light::Lost => self.sighting(Seen::Lost),
-            Light::Sync(_) => {
-                let half_turn = self.sweep.dark_slot()?;
-                self.sighting(Seen::Nothing { at: pulse.start, half_turn })
-            }
+        match sweep::step(&config.sweep, &mut self.sweep, pulse) {
+            Some(Light::Sweep(sweep)) => self.sighting(Seen::Sweep(sweep)),
+            Some(Light::Lost) => self.sighting(Seen::Lost),
+            Some(Light::Sync(_)) | None => self.closed(pulse.start),
+        }
+    }
+
+    /// What the slot that has just ended has left to say.
+    #[inline]
+    fn closed(&mut self, at: Ticks) -> Option<Sighting> {
+        match self.sweep.closed()? {
+            Closed::Sweep(sweep) => self.sighting(Seen::Sweep(sweep)),
+            Closed::Dark(half_turn) => self.sighting(Seen::Nothing { at, half_turn }),
         }
     }
 
     /// Notices that no light comes; to be called at least once per quarter wrap of the counter, and as often as
     /// reports shall go on in the dark. `now` is later than every edge.
     pub fn expire(&mut self, config: &Config, now: Ticks) -> Option<Sighting> {
-        let half_turn = self.sweep.half_turn()?;
         if sweep::expire(&config.sweep, &mut self.sweep, now).is_some() {
             return self.sighting(Seen::Lost);
         }
-        self.sweep.dark_slot()?;
-        self.sighting(Seen::Nothing { at: now, half_turn })
+        self.closed(now)
     }
 
     fn sighting(&self, seen: Seen) -> Option<Sighting> {
-        Some(Sighting { seen, edges_lost: self.pulse.lost(), pulses_lost: self.sweep.counts().strays })
+        Some(Sighting { seen, edges_lost: self.pulse.lost(), pulses_lost: self.sweep.counts().turned_away })
     }
 
     /// How often each kind of light was understood.

@@ -46,4 +46,5 @@ mod on_host {
     mod direction;
     mod ootx;
     mod properties;
+    mod recordings;
 }

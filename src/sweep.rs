@@ -29,7 +29,7 @@ mod width;
 pub use half_turn::{HALF_TURN_BITS, HalfTurn};
 pub use width::nearest_width;
 
-use lock::Lock;
+use lock::{Lock, Phase};
 use search::Search;
 
 use crate::pulse::Pulse;
@@ -97,6 +97,36 @@ pub enum Light {
     Lost,
 }
 
+/// What a slot without a sweep at once turns out to be when it ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Closed {
+    /// There were several pulses that could have been the sweep, or one where none was expected: this is the best.
+    Sweep(Sweep),
+    /// There was none. The half turn as measured up to now.
+    Dark(HalfTurn),
+}
+
+/// Whether light is understood, and why not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Status {
+    /// The cycle is known.
+    Locked,
+    /// There is light that may be a cycle, but not yet enough of it.
+    Searching,
+    /// No pulse for the longest four half turns that a clock can see, 2^22 ticks.
+    NoLight,
+    /// One flash per slot, with skips: one station of a pair, and nothing says which. See [`Config::lone`].
+    OneStation,
+    /// Flashes of two stations that are not 350 to 450 us apart.
+    Spacing,
+    /// Pulses that are too long for each other's distance to be flashes or sweeps.
+    Widths,
+    /// Only pulses that are too short for each other's distance to be flashes: Lighthouse V2, which has none.
+    V2,
+}
+
 /// The tolerances, all as shares of the half turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Config {
@@ -108,6 +138,8 @@ pub struct Config {
     pub shortest_sweep: u32,
     /// Which moment of a laser's pulse is the sweep.
     pub stamp: Stamp,
+    /// Who flashes, if only one of a pair of stations is seen from the start. The light alone does not tell.
+    pub lone: Option<Station>,
 }
 
 /// The moment of a laser's pulse that counts as the sweep.
@@ -122,7 +154,8 @@ pub enum Stamp {
 
 impl Config {
     /// The values named in the field documentation.
-    pub const DEFAULT: Self = Self { window_shift: 7, coast_half_turns: 48, shortest_sweep: 1, stamp: Stamp::Middle };
+    pub const DEFAULT: Self =
+        Self { window_shift: 7, coast_half_turns: 48, shortest_sweep: 1, stamp: Stamp::Middle, lone: None };
 }
 
 impl Default for Config {
@@ -135,22 +168,69 @@ impl Default for Config {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counts {
-    /// Flashes understood.
-    pub syncs: u16,
-    /// Sweeps understood.
-    pub sweeps: u16,
-    /// Pulses that fit no window.
+    /// Flashes understood, by [`Station`].
+    pub syncs: [u16; 2],
+    /// Sweeps understood, by [`Station`] and [`Axis`].
+    pub sweeps: [[u16; 2]; 2],
+    /// Pulses that fit no window, and all pulses while there is no cycle.
     pub strays: u16,
+    /// Pulses where a sweep could be, shorter than [`Config::shortest_sweep`].
+    pub too_short: u16,
+    /// The same, longer than 41.7 us.
+    pub too_long: u16,
+    /// Pulses like a sweep in a slot that has a better one.
+    pub seconds: u16,
+    /// Pulses where a flash could be, that rise or fall at the wrong time.
+    pub misfits: u16,
     /// Times the cycle was lost.
     pub locks_lost: u16,
+    /// All pulses turned away: the five causes together.
+    pub turned_away: u16,
+}
+
+impl Counts {
+    fn sync(&mut self, station: Station) {
+        let count = &mut self.syncs[station as usize];
+        *count = count.wrapping_add(1);
+    }
+
+    fn sweep(&mut self, station: Station, axis: Axis) {
+        let count = &mut self.sweeps[station as usize][axis as usize];
+        *count = count.wrapping_add(1);
+    }
+
+    fn stray(&mut self) {
+        turn_away(&mut self.strays, &mut self.turned_away);
+    }
+
+    fn short(&mut self) {
+        turn_away(&mut self.too_short, &mut self.turned_away);
+    }
+
+    fn long(&mut self) {
+        turn_away(&mut self.too_long, &mut self.turned_away);
+    }
+
+    fn second(&mut self) {
+        turn_away(&mut self.seconds, &mut self.turned_away);
+    }
+
+    fn misfit(&mut self) {
+        turn_away(&mut self.misfits, &mut self.turned_away);
+    }
+}
+
+fn turn_away(cause: &mut u16, all: &mut u16) {
+    *cause = cause.wrapping_add(1);
+    *all = all.wrapping_add(1);
 }
 
 /// Where in the light the mote is.
 #[derive(Debug, Clone, Default)]
 pub struct State {
-    search: Search,
-    lock: Option<Lock>,
+    lock: Lock,
     counts: Counts,
+    search: Search,
 }
 
 impl State {
@@ -160,39 +240,60 @@ impl State {
         self.counts
     }
 
-    /// The half turn, if the latest slot was left without a sweep; said once per slot.
+    /// What the slot that ended last gave, if its sweep was not said at once; said once per slot.
+    ///
+    /// To be asked after every [`step`] that gave no sweep, and after [`expire`].
     #[inline]
-    pub fn dark_slot(&mut self) -> Option<HalfTurn> {
-        let lock = self.lock.as_mut()?;
-        lock.take_dark().then_some(lock.half_turn)
+    pub fn closed(&mut self) -> Option<Closed> {
+        self.lock.take_closed(&mut self.counts)
     }
 
     /// The measured half turn, while the cycle is locked.
     #[must_use]
     pub fn half_turn(&self) -> Option<HalfTurn> {
-        self.lock.as_ref().map(|lock| lock.half_turn)
+        (self.lock.phase != Phase::Dark).then_some(self.lock.half_turn)
+    }
+
+    /// By how much the receiver lengthens the flashes of `station`, in 2^-20 half turns (7.9 ns). Outlives the lock; `None`
+    /// before the first.
+    #[must_use]
+    pub fn width_bias(&self, station: Station) -> Option<i16> {
+        self.lock.width_bias(station)
+    }
+
+    /// Why there is no lock, or that there is one. `now` is later than every pulse.
+    #[must_use]
+    pub fn status(&self, now: Ticks) -> Status {
+        match (self.lock.phase, self.search.status(now)) {
+            (Phase::Locked, _) => Status::Locked,
+            (_, Status::Spacing) => Status::Spacing,
+            (Phase::Nameless, _) => Status::OneStation,
+            (Phase::Pair | Phase::Train, _) => Status::Searching,
+            (Phase::Dark, status) => status,
+        }
+    }
+
+    /// Says who flashes while the status is [`Status::OneStation`]; nothing otherwise. Sweeps follow from then on.
+    pub fn name(&mut self, station: Station) {
+        self.lock.name(station);
     }
 }
 
 /// Takes one pulse; says what it was, if anything.
 #[inline]
 pub fn step(config: &Config, state: &mut State, pulse: Pulse) -> Option<Light> {
-    if let Some(lock) = &mut state.lock {
-        if lock.follow(config, pulse.start) {
-            let light = lock.place(config, pulse);
-            match light {
-                Some(Light::Sync(_)) => state.counts.syncs = state.counts.syncs.wrapping_add(1),
-                Some(Light::Sweep(_)) => state.counts.sweeps = state.counts.sweeps.wrapping_add(1),
-                _ => state.counts.strays = state.counts.strays.wrapping_add(1),
-            }
-            return light;
-        }
-        state.give_up();
-        state.lock = state.search.step(pulse);
-        return Some(Light::Lost);
+    let lock = &mut state.lock;
+    if lock.phase == Phase::Dark {
+        return state.seek(pulse, false);
     }
-    state.lock = state.search.step(pulse);
-    None
+    if !lock.follow(config, pulse.start) {
+        return state.seek(pulse, true);
+    }
+    let light = lock.place(config, &mut state.counts, pulse);
+    if light.is_none() && state.lock.is_doubtful() {
+        return state.seek(pulse, false);
+    }
+    light
 }
 
 /// Says whether the light has been gone too long, where no pulse comes to say so; `now` is later than every pulse.
@@ -200,18 +301,37 @@ pub fn step(config: &Config, state: &mut State, pulse: Pulse) -> Option<Light> {
 /// To be called at least once per quarter wrap of the counter: a darkness of a whole wrap must not look short.
 #[inline]
 pub fn expire(config: &Config, state: &mut State, now: Ticks) -> Option<Light> {
-    let lock = state.lock.as_mut()?;
-    if lock.follow(config, now) {
+    if state.lock.phase == Phase::Dark || state.lock.follow(config, now) {
         return None;
     }
-    state.give_up();
-    Some(Light::Lost)
+    state.give_up()
 }
 
 impl State {
-    fn give_up(&mut self) {
-        self.lock = None;
-        self.search = Search::default();
+    /// Looks for a cycle, or for a better one.
+    #[cold]
+    #[inline(never)]
+    fn seek(&mut self, pulse: Pulse, is_over: bool) -> Option<Light> {
+        let mut light = if is_over { self.give_up() } else { None };
+        if self.lock.phase == Phase::Dark {
+            self.counts.stray();
+        }
+        if let Some(found) = self.search.step(pulse, self.lock.phase == Phase::Dark) {
+            light = light.or(self.give_up());
+            self.lock.start(&found);
+        }
+        light
+    }
+
+    /// Whoever knew where the lasers were is told that the cycle is gone.
+    fn give_up(&mut self) -> Option<Light> {
+        let was_locked = self.lock.phase == Phase::Locked;
+        self.lock.end();
+        self.search.clear();
+        if !was_locked {
+            return None;
+        }
         self.counts.locks_lost = self.counts.locks_lost.wrapping_add(1);
+        Some(Light::Lost)
     }
 }

@@ -11,7 +11,8 @@ use super::cycle;
 use lighthouse_mote::angle;
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::sweep::{
-    Axis, Config, HALF_TURN_BITS, HalfTurn, Light, Stamp, State, Station, Sweep, Sync, expire, nearest_width, step,
+    Axis, Closed, Config, HALF_TURN_BITS, HalfTurn, Light, Stamp, State, Station, Status, Sweep, Sync, expire,
+    nearest_width, step,
 };
 use lighthouse_mote::time::Span;
 
@@ -21,6 +22,10 @@ const CONFIG: Config = Config::DEFAULT;
 /// Slots after which the cycle must be known, from whichever slot the mote wakes in: two to find the flashes, two
 /// until the skip passes from one station to the other.
 const LOCKED: u32 = 4;
+/// Slots after which every rotor's last sweep is known, and the next is said at once.
+const SETTLED: u32 = 2 * LOCKED;
+/// Slots after which a flash is believed only where it is expected: to 4 us.
+const SURE: u32 = 20;
 
 /// Feeds a whole number of slots; the state at their end.
 fn after(cycle: Cycle, first: u32, slots: u32) -> State {
@@ -40,6 +45,12 @@ fn sweep_of(light: Option<Light>) -> Option<Sweep> {
 
 #[track_caller]
 fn assert_understood(cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Light>) {
+    // The flash, the two edges of the sweep and their middle are each cut to whole ticks.
+    assert_understood_within(2, cycle, truth, pulse, light);
+}
+
+#[track_caller]
+fn assert_understood_within(ticks: u32, cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Light>) {
     match truth {
         Truth::Sync(sync) => assert_eq!(light, Some(Light::Sync(sync))),
         Truth::Sweep(station, axis) => {
@@ -47,8 +58,7 @@ fn assert_understood(cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Li
             let middle = pulse.start.after(Span(pulse.width.0 / 2));
             assert_eq!((sweep.station, sweep.axis, sweep.at), (station, axis, middle));
             let span = cycle.span(u64::from(cycle.sweep_after[station as usize][axis as usize]));
-            // The flash, the two edges of the sweep and their middle are each cut to whole ticks.
-            assert!(sweep.since_sync.0.abs_diff(span.0) <= 2, "{:?} for {span:?}", sweep.since_sync);
+            assert!(sweep.since_sync.0.abs_diff(span.0) <= ticks, "{:?} for {span:?}", sweep.since_sync);
         }
     }
 }
@@ -56,8 +66,8 @@ fn assert_understood(cycle: &Cycle, truth: Truth, pulse: Pulse, light: Option<Li
 /// Locks, then expects every pulse of `slots` more slots to be understood.
 #[track_caller]
 fn assert_all_understood(cycle: Cycle, slots: u32) {
-    let mut state = after(cycle, 0, LOCKED);
-    for (truth, pulse) in cycle.pulses(LOCKED, slots) {
+    let mut state = after(cycle, 0, SETTLED);
+    for (truth, pulse) in cycle.pulses(SETTLED, slots) {
         assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
     }
     assert_eq!(state.counts().locks_lost, 0);
@@ -110,8 +120,19 @@ mod tests {
         let cycle = Cycle::TYPICAL;
         for first in 0..4 {
             let mut state = after(cycle, first, LOCKED);
-            for (truth, pulse) in cycle.pulses(first + LOCKED, 4) {
-                assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+            // The first sweeps wait for the ends of their slots.
+            for (n, (truth, pulse)) in (0..).zip(cycle.pulses(first + LOCKED, 5)) {
+                let light = step(&CONFIG, &mut state, pulse);
+                match truth {
+                    Truth::Sync(_) => assert_understood(&cycle, truth, pulse, light),
+                    Truth::Sweep(..) if n < 12 => assert_eq!(light, None),
+                    Truth::Sweep(..) => assert_understood(&cycle, truth, pulse, light),
+                }
+                if n >= 3 && n % 3 == 0 {
+                    let (truth, pulse) = cycle.pulse(first + LOCKED + n / 3 - 1, 2);
+                    let Some(Closed::Sweep(sweep)) = state.closed() else { panic!("a sweep was lost") };
+                    assert_understood(&cycle, truth, pulse, Some(Light::Sweep(sweep)));
+                }
             }
         }
     }
@@ -127,10 +148,10 @@ mod tests {
         let cycle = Cycle::TYPICAL;
         for missing in 1..3 {
             let mut state = State::default();
-            for (_, pulse) in cycle.pulses(0, 6).skip(missing) {
+            for (_, pulse) in cycle.pulses(0, 10).skip(missing) {
                 step(&CONFIG, &mut state, pulse);
             }
-            for (truth, pulse) in cycle.pulses(6, 4) {
+            for (truth, pulse) in cycle.pulses(10, 4) {
                 assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
             }
         }
@@ -176,7 +197,8 @@ mod tests {
                 assert!(off <= u64::from(TWO_TICKS), "{off} units off at {clock} Hz");
                 seen += 1;
             }
-            assert!(seen >= 36);
+            // The first cycle's wait for the ends of their slots.
+            assert!(seen >= 32);
         }
     }
 
@@ -212,21 +234,23 @@ mod tests {
                 let (truth, pulse) = cycle.pulse(slot, index);
                 let moved = Pulse { start: pulse.start.before(Span(zero.0.wrapping_sub(start))), ..pulse };
                 let light = step(&CONFIG, &mut state, moved);
-                if slot >= LOCKED {
-                    assert_understood(&cycle, truth, moved, light);
+                if slot >= SETTLED {
+                    // The half turn is 0.2 s old, so a turn later its flash is predicted 0.02 % of a turn wrong, half of
+                    // which is made good: 17 ticks.
+                    assert_understood_within(25, &cycle, truth, moved, light);
                     understood += 1;
                 }
             }
             start += cycle.span(HALF_TURN).0;
         }
-        assert_eq!(understood, 3 * (240 - LOCKED));
+        assert_eq!(understood, 3 * (240 - SETTLED));
     }
 
     #[test]
     fn a_lost_flash_costs_nothing_else() {
         let cycle = Cycle::TYPICAL;
         for lost in 0..2 {
-            for lost_slot in LOCKED..LOCKED + 4 {
+            for lost_slot in SETTLED..SETTLED + 4 {
                 let mut state = after(cycle, 0, lost_slot);
                 for (n, (truth, pulse)) in (0..).zip(cycle.pulses(lost_slot, 4)) {
                     if n != lost {
@@ -280,8 +304,12 @@ mod tests {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 12);
         let again = 12 + u32::from(CONFIG.coast_half_turns) - 2;
-        for (truth, pulse) in cycle.pulses(again, 8) {
-            assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+        for (n, (truth, pulse)) in (0..).zip(cycle.pulses(again, 8)) {
+            let light = step(&CONFIG, &mut state, pulse);
+            // Where the lasers are is an open question again, for a cycle.
+            if matches!(truth, Truth::Sync(_)) || n >= 12 {
+                assert_understood(&cycle, truth, pulse, light);
+            }
         }
     }
 
@@ -293,10 +321,10 @@ mod tests {
         let (_, pulse) = cycle.pulse(again, 0);
         assert_eq!(step(&CONFIG, &mut state, pulse), Some(Light::Lost));
         assert_eq!(state.half_turn(), None);
-        for (_, pulse) in cycle.pulses(again, LOCKED).skip(1) {
+        for (_, pulse) in cycle.pulses(again, SETTLED).skip(1) {
             assert_ne!(step(&CONFIG, &mut state, pulse), Some(Light::Lost));
         }
-        for (truth, pulse) in cycle.pulses(again + LOCKED, 4) {
+        for (truth, pulse) in cycle.pulses(again + SETTLED, 4) {
             assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
         }
         assert_eq!(state.counts().locks_lost, 1);
@@ -318,26 +346,25 @@ mod tests {
     fn a_slot_without_a_sweep_is_said_once() {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 8);
-        state.dark_slot();
-        for index in 0..2 {
-            step(&CONFIG, &mut state, cycle.pulse(8, index).1);
-            assert_eq!(state.dark_slot(), None);
-        }
+        step(&CONFIG, &mut state, cycle.pulse(8, 0).1);
+        assert!(matches!(state.closed(), Some(Closed::Sweep(_))));
+        step(&CONFIG, &mut state, cycle.pulse(8, 1).1);
+        assert_eq!(state.closed(), None);
         step(&CONFIG, &mut state, cycle.pulse(9, 0).1);
-        assert_eq!(state.dark_slot(), state.half_turn());
-        assert_eq!(state.dark_slot(), None);
+        assert_eq!(state.closed(), state.half_turn().map(Closed::Dark));
+        assert_eq!(state.closed(), None);
         for index in 1..3 {
             step(&CONFIG, &mut state, cycle.pulse(9, index).1);
         }
         step(&CONFIG, &mut state, cycle.pulse(10, 0).1);
-        assert_eq!(state.dark_slot(), None);
+        assert_eq!(state.closed(), None);
     }
 
     #[test]
     fn stray_light_is_counted_and_changes_nothing() {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 8);
-        let mut strays = state.counts().strays;
+        let mut turned_away = state.counts().turned_away;
         for slot in 8..16 {
             for index in 0..3 {
                 let (truth, pulse) = cycle.pulse(slot, index);
@@ -347,11 +374,11 @@ mod tests {
                 // Between the flashes there is no room for one.
                 if index > 0 {
                     assert_eq!(step(&CONFIG, &mut state, stray), None);
-                    strays += 1;
+                    turned_away += 1;
                 }
             }
         }
-        assert_eq!(state.counts().strays, strays);
+        assert_eq!(state.counts().turned_away, turned_away);
     }
 
     #[test]
@@ -374,7 +401,7 @@ mod tests {
     fn a_second_sweep_in_a_slot_is_a_reflection() {
         let cycle = Cycle::TYPICAL;
         let mut state = after(cycle, 0, 8);
-        let strays = state.counts().strays;
+        let seconds = state.counts().seconds;
         for (truth, pulse) in cycle.pulses(8, 4) {
             assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
             if let Truth::Sweep(..) = truth {
@@ -382,7 +409,7 @@ mod tests {
                 assert_eq!(step(&CONFIG, &mut state, echo), None);
             }
         }
-        assert_eq!(state.counts().strays, strays + 4);
+        assert_eq!(state.counts().seconds, seconds + 4);
     }
 
     #[test]
@@ -390,21 +417,229 @@ mod tests {
         let cycle = Cycle::TYPICAL;
         let shorter = cycle.span(48 * 9);
         let mut state = State::default();
-        for (n, (truth, pulse)) in (0..).zip(cycle.pulses(0, 12)) {
+        for (n, (truth, pulse)) in (0..).zip(cycle.pulses(0, 40)) {
             let width = match truth {
                 Truth::Sync(_) => Span(pulse.width.0 - shorter.0),
                 Truth::Sweep(..) => pulse.width,
             };
             let light = step(&CONFIG, &mut state, Pulse { width, ..pulse });
-            // The data bit is read off the absolute width and may be wrong; nothing else may.
-            if n >= 3 * LOCKED {
-                match (truth, light) {
-                    (Truth::Sync(sync), Some(Light::Sync(seen))) => {
-                        assert_eq!(Sync { data: sync.data, ..seen }, sync);
+            if n >= 3 * SETTLED {
+                assert_understood(&cycle, truth, pulse, light);
+            }
+        }
+    }
+
+    #[test]
+    fn any_single_pulse_may_be_missing() {
+        let cycle = Cycle::TYPICAL;
+        for missing in 0..12 {
+            let mut state = after(cycle, 0, SETTLED);
+            for (n, (truth, pulse)) in (0..).zip(cycle.pulses(SETTLED, 12)) {
+                if n != missing {
+                    assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+                }
+            }
+            assert_eq!(state.counts().locks_lost, 0);
+        }
+    }
+
+    #[test]
+    fn any_single_pulse_may_be_added() {
+        let cycle = Cycle::TYPICAL;
+        // Like a sweep, too short, between the two, like a flash, too long; everywhere, and just before each pulse.
+        let mut tried = 0;
+        for width in [48 / 2, 480, 1_700, 3_500, 5_000, 9_000] {
+            for place in 0..100 {
+                let at = match place {
+                    0..76 => place * 4 * HALF_TURN / 76,
+                    // The gap to what it precedes is 5 us.
+                    _ => {
+                        let (slot, index) = ((place - 76) / 6, (place - 76) % 6 / 2);
+                        let of_b = if slot < 2 { 20_000 } else { 0 };
+                        let sweep = u64::from(cycle.sweep_after[usize::from(slot < 2)][slot as usize % 2]);
+                        let before = 240 * (1 + place % 2 * 12) + width;
+                        (4 + slot) * HALF_TURN + [0, 20_000, of_b + sweep - 240][index as usize] - before
                     }
-                    _ => assert_understood(&cycle, truth, pulse, light),
+                } + (u64::from(SURE) - if place < 76 { 0 } else { 4 }) * HALF_TURN;
+                let added = Pulse { start: cycle.ticks(at), width: cycle.span(width) };
+                // What would overlap is one pulse to a photodiode.
+                let overlaps = |pulse: Pulse| {
+                    let apart = pulse.start.offset_from(added.start);
+                    apart <= added.width.0 as i32 && -apart <= pulse.width.0 as i32
+                };
+                if cycle.pulses(SURE - 1, 13).any(|(_, pulse)| overlaps(pulse)) {
+                    continue;
+                }
+                tried += 1;
+                let mut state = after(cycle, 0, SURE - 1);
+                let mut was_added = false;
+                for (truth, pulse) in cycle.pulses(SURE - 1, 13) {
+                    let is_next = !was_added && pulse.start.offset_from(added.start) >= 0;
+                    if is_next {
+                        was_added = true;
+                        let light = step(&CONFIG, &mut state, added);
+                        assert!(matches!(light, None | Some(Light::Sweep(_))), "{light:?} for {width} at {at}");
+                    }
+                    let light = step(&CONFIG, &mut state, pulse);
+                    match truth {
+                        Truth::Sync(_) => assert_understood(&cycle, truth, pulse, light),
+                        // The added one may have been the nearer, once.
+                        Truth::Sweep(..) if light.is_some() => assert_understood(&cycle, truth, pulse, light),
+                        Truth::Sweep(..) => {}
+                    }
+                }
+                for (truth, pulse) in cycle.pulses(SURE + 12, 4) {
+                    assert_understood(&cycle, truth, pulse, step(&CONFIG, &mut state, pulse));
+                }
+                assert_eq!(state.counts().locks_lost, 0);
+            }
+        }
+        assert!(tried > 400, "{tried}");
+    }
+
+    #[test]
+    fn one_displaced_flash_changes_no_angle_by_a_fiftieth_of_a_degree() {
+        // 0.02 degrees are 0.93 us, 10 ticks.
+        let cycle = Cycle::TYPICAL;
+        for displaced in 0..12 {
+            for by in [-400, -100, -40, -20, -10, 10, 20, 40, 100, 400] {
+                let mut state = after(cycle, 0, SURE);
+                for (n, (truth, pulse)) in (0..).zip(cycle.pulses(SURE, 12)) {
+                    let is_flash = matches!(truth, Truth::Sync(_));
+                    if n == displaced && is_flash {
+                        let moved = Pulse { start: pulse.start.after(Span(0u32.wrapping_add_signed(by))), ..pulse };
+                        step(&CONFIG, &mut state, moved);
+                    } else if let Some(light) = step(&CONFIG, &mut state, pulse)
+                        && !is_flash
+                    {
+                        assert_understood_within(8, &cycle, truth, pulse, Some(light));
+                    }
                 }
             }
         }
+    }
+
+    #[test]
+    fn the_longest_of_several_sweeps_is_chosen_and_a_mirror_is_left() {
+        let cycle = Cycle::TYPICAL;
+        // The direct light is blocked at first, and a mirror is believed.
+        let mirrored =
+            |pulse: Pulse| Pulse { start: pulse.start.after(cycle.span(48 * 900)), width: cycle.span(48 * 4) };
+        let mut state = State::default();
+        for (truth, pulse) in cycle.pulses(0, 2 * SETTLED) {
+            let pulse = if matches!(truth, Truth::Sweep(..)) { mirrored(pulse) } else { pulse };
+            step(&CONFIG, &mut state, pulse);
+        }
+        // Then it comes as well: earlier, longer.
+        for (n, (truth, pulse)) in (0..).zip(cycle.pulses(2 * SETTLED, 16)) {
+            let light = step(&CONFIG, &mut state, pulse);
+            if let Truth::Sweep(..) = truth {
+                assert!(n >= 12 && light.is_some() || n < 12 && light.is_none(), "{n} {light:?}");
+                assert_eq!(step(&CONFIG, &mut state, mirrored(pulse)), None);
+            } else if n > 0 && n < 15 && n % 3 == 0 {
+                assert!(matches!(state.closed(), Some(Closed::Sweep(sweep)) if sweep.since_sync.0 > 0) == (n <= 12));
+            }
+        }
+    }
+
+    #[test]
+    fn a_station_alone_is_a_and_sweeps_in_every_slot() {
+        let cycle = Cycle::TYPICAL;
+        let mut state = State::default();
+        let mut sweeps = 0;
+        for slot in 0..64u32 {
+            // The flash and sweep that A has in its own slots, with data that repeats nothing.
+            let data = 0x35a6_c1d2_7be8_904fu64 >> slot & 1 == 1;
+            let axis = if slot % 2 == 0 { Axis::Azimuth } else { Axis::Elevation };
+            let sync = Sync { station: Station::A, axis, skip: false, data };
+            let start = cycle.ticks(u64::from(slot) * HALF_TURN);
+            let flash = Pulse { start, width: cycle.span(width(sync)) };
+            let light = step(&CONFIG, &mut state, flash);
+            if slot >= 20 {
+                assert_eq!(light, Some(Light::Sync(sync)), "{slot}");
+            }
+            let after = u64::from(cycle.sweep_after[0][axis as usize]);
+            let sweep = Pulse { start: start.after(cycle.span(after - 240)), width: cycle.span(480) };
+            if let Some(Light::Sweep(sweep)) = step(&CONFIG, &mut state, sweep) {
+                assert_eq!((sweep.station, sweep.axis), (Station::A, axis));
+                sweeps += 1;
+            }
+        }
+        assert!(sweeps >= 40, "{sweeps}");
+        assert_eq!(state.status(cycle.ticks(64 * HALF_TURN)), Status::Locked);
+    }
+
+    #[test]
+    fn one_of_a_pair_is_nobody_until_it_is_named() {
+        let cycle = Cycle::TYPICAL;
+        for shown in [Station::A, Station::B] {
+            let seen = |first| {
+                cycle.pulses(first, 60).filter(move |(truth, _)| match truth {
+                    Truth::Sync(sync) => sync.station == shown,
+                    Truth::Sweep(station, _) => *station == shown,
+                })
+            };
+            let mut state = State::default();
+            for (_, pulse) in seen(0) {
+                assert_eq!(step(&CONFIG, &mut state, pulse), None);
+            }
+            assert_eq!(state.status(cycle.ticks(60 * HALF_TURN)), Status::OneStation);
+            state.name(shown);
+            let mut sweeps = 0;
+            for (truth, pulse) in seen(60) {
+                match (truth, step(&CONFIG, &mut state, pulse)) {
+                    (Truth::Sweep(station, axis), Some(Light::Sweep(sweep))) => {
+                        assert_eq!((sweep.station, sweep.axis), (station, axis));
+                        sweeps += 1;
+                    }
+                    (Truth::Sync(sync), Some(Light::Sync(seen))) => {
+                        assert_eq!((seen.axis, seen.skip), (sync.axis, sync.skip))
+                    }
+                    _ => {}
+                }
+            }
+            assert!(sweeps >= 24, "{sweeps}");
+            // And the other comes back.
+            for (truth, pulse) in cycle.pulses(120, 40) {
+                step(&CONFIG, &mut state, pulse);
+                let _ = truth;
+            }
+            for (truth, pulse) in cycle.pulses(160, 8) {
+                let light = step(&CONFIG, &mut state, pulse);
+                if let Truth::Sync(_) = truth {
+                    assert_understood(&cycle, truth, pulse, light);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn why_there_is_no_lock_is_said() {
+        let cycle = Cycle::TYPICAL;
+        let status = |length: u64, width: u64, every: u64| {
+            let mut state = State::default();
+            for n in 0..length {
+                let pulse = Pulse { start: cycle.ticks(n * every), width: cycle.span(width) };
+                step(&CONFIG, &mut state, pulse);
+            }
+            (state.status(cycle.ticks(length * every)), state.status(cycle.ticks(length * every + 400 * HALF_TURN)))
+        };
+        assert_eq!(status(0, 0, 0), (Status::NoLight, Status::NoLight));
+        // Two sweeps of 5 us per turn of 20 ms.
+        assert_eq!(status(30, 240, 480_000), (Status::V2, Status::NoLight));
+        // A remote control: 9 us of every 26.
+        assert_eq!(status(30, 430, 1_250), (Status::Widths, Status::NoLight));
+        // Flashes 600 us apart.
+        let mut state = State::default();
+        for slot in 0..20 {
+            for (index, at) in [(0, 0), (1, 600 * 48)] {
+                let pulse = cycle.pulse(slot, index).1;
+                let start = cycle.ticks(u64::from(slot) * HALF_TURN + at);
+                step(&CONFIG, &mut state, Pulse { start, ..pulse });
+            }
+        }
+        assert_eq!(state.status(cycle.ticks(20 * HALF_TURN)), Status::Spacing);
+        let state = after(cycle, 0, SETTLED);
+        assert_eq!(state.status(cycle.ticks(u64::from(SETTLED) * HALF_TURN)), Status::Locked);
     }
 }

@@ -10,10 +10,11 @@ use crate::time::Span;
 const WIDTH_STEPS_PER_HALF_TURN: u32 = 800;
 /// The shortest flash, 62.5 us, in steps.
 pub(super) const WIDTH_BASE_STEPS: u32 = 6;
-/// Twice the shortest and longest width accepted as a flash, in steps: 62.5 us - 10 us, and 135.4 us + 10 us.
-const WIDTH_ACCEPTED_HALF_STEPS: (u32, u32) = (10, 28);
-/// Twice the longest width accepted as a sweep, in steps: 41.7 us. Real sweeps stay under 20 us.
-const SWEEP_HALF_STEPS: u32 = 8;
+/// The shortest and longest width that may be a flash of a receiver not known yet, in steps: 62.5 us - 10 us, and
+/// 135.4 us + 10 us.
+const WIDTH_ACCEPTED_STEPS: (u32, u32) = (5, 14);
+/// The longest width accepted as a sweep, in steps: 41.7 us. Real sweeps stay under 20 us.
+const SWEEP_STEPS: u32 = 4;
 
 /// The axis, data and skip bits whose nominal width is nearest to `width`, for a half turn of `half_turn`.
 ///
@@ -34,30 +35,36 @@ pub fn nearest_width(half_turn: HalfTurn, width: Span) -> Option<(Axis, bool, bo
     Some((axis, code & 2 != 0, code & 4 != 0))
 }
 
-/// Lengths that every pulse is compared with, worked out when the half turn changes.
-#[derive(Debug, Clone, Copy)]
+/// Lengths that pulses are compared with, in ticks; worked out when the half turn changes.
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Units {
-    pub(super) half_turn: Span,
-    pub(super) width_step: u32,
-    sync_width: (u32, u32),
-    pub(super) sweep_width_max: u32,
+    /// One half turn.
+    pub(super) half_turn: u32,
+    /// Two: one turn of a rotor.
+    pub(super) turn: u32,
+    /// One step of the flash widths.
+    pub(super) step: i32,
 }
 
 impl Units {
-    pub(super) fn of(half_turn: HalfTurn) -> Self {
+    /// For a half turn of `ticks_q8 / 256` ticks, at most `HalfTurn::MAX_TICKS`.
+    pub(super) fn of(ticks_q8: u32) -> Self {
         // 2^20 / 800 = 1310.72, the reciprocal of the steps in a half turn.
         const STEP_Q20: u32 = (1 << 20) / WIDTH_STEPS_PER_HALF_TURN;
+        let half_turn = (ticks_q8 + (1 << 7)) >> 8;
         // At most 2^20 ticks by 2^11.
-        let half_step = (half_turn.span().0 * STEP_Q20) >> (20 + 1);
-        Self {
-            half_turn: half_turn.span(),
-            width_step: 2 * half_step,
-            sync_width: (half_step * WIDTH_ACCEPTED_HALF_STEPS.0, half_step * WIDTH_ACCEPTED_HALF_STEPS.1),
-            sweep_width_max: half_step * SWEEP_HALF_STEPS,
-        }
+        let step = (half_turn * STEP_Q20 + (1 << 19)) >> 20;
+        Self { half_turn, turn: (ticks_q8 + (1 << 6)) >> 7, step: step as i32 }
     }
 
+    /// Whether `width` may be a flash for a receiver of which nothing is known.
     pub(super) fn is_sync(&self, width: Span) -> bool {
-        width.0 >= self.sync_width.0 && width.0 <= self.sync_width.1
+        let step = self.step as u32;
+        width.0 >= step * WIDTH_ACCEPTED_STEPS.0 && width.0 <= step * WIDTH_ACCEPTED_STEPS.1
+    }
+
+    /// The longest sweep.
+    pub(super) fn sweep_max(&self) -> u32 {
+        self.step as u32 * SWEEP_STEPS
     }
 }

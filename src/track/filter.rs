@@ -220,9 +220,10 @@ impl Estimate {
             let ahead = due(now).wrapping_sub(self.spread_at) / PER_HALF_TURN;
             let axes = [[xx, xu, uu, x, u], [yy, yv, vv, y, v], [zz, zw, ww, z, w]];
             variances = axes.map(|axis| variance_after(config, axis, ahead));
-            let elapsed = now.wrapping_sub(self.at).min(STRIDE * PER_HALF_TURN).cast_signed();
+            // No further than `predict` carries it.
+            let elapsed = if ahead > STRIDE { STRIDE * PER_HALF_TURN } else { now.wrapping_sub(self.at) };
             for (position, velocity) in position.iter_mut().zip(self.velocity) {
-                carry(position, velocity, elapsed);
+                carry(position, velocity, elapsed.cast_signed());
             }
         }
         (

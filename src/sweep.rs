@@ -12,14 +12,16 @@
 //! ```
 //!
 //! A flash lasts 62.5 us + 10.4 (axis) + 20.8 (data) + 41.7 (skip). Receivers shorten or lengthen every flash alike,
-//! by up to 10 us, so the absolute width tells less than the two flashes of a slot against each other: only one of
-//! them has the long skip bit. The axis follows from the place in the cycle.
+//! by up to 10 us. The place in the cycle is found from the two flashes of a slot against each other: only one of them
+//! has the long skip bit. It gives axis and skip, so that the width has only the data bit to tell, and the receiver's
+//! bias, which is learnt on the way.
 //!
 //! No clock rate is assumed anywhere. The search looks for two pairs of flashes whose distance is 18 to 24 times
 //! their inner gap; that distance is the half turn, and every later window is a share of it.
 //!
 //! What can go wrong: flashes are lost (the cycle goes on by dead reckoning, up to [`Config::coast_half_turns`]),
-//! something shines between (it fits no window and is counted), the light goes (the lock is given up and says so).
+//! something shines between (it fits no window and is counted; of several like
+//! a sweep the longest is taken, when the slot ends), the light goes (the lock is given up and says so).
 
 mod half_turn;
 mod lock;

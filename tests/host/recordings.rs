@@ -135,7 +135,7 @@ fn judge(name: &str, phase: u32) -> Option<[u32; 2]> {
         let wrong = of.iter().filter(|seen| {
             let turn = (seen.slot + phase) % 4;
             let sweeping = if turn < 2 { Station::B } else { Station::A };
-            let axis = if turn % 2 == 0 { Axis::Azimuth } else { Axis::Elevation };
+            let axis = if turn & 1 == 0 { Axis::Azimuth } else { Axis::Elevation };
             let data = bits[(seen.slot as usize + FRAME - start) % FRAME];
             seen.sync != Sync { station, axis, skip: sweeping != station, data }
         });

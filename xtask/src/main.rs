@@ -14,6 +14,7 @@ mod bake;
 mod bench;
 mod ci;
 mod firmware;
+mod oracle;
 mod process;
 mod qemu;
 mod run;
@@ -55,6 +56,13 @@ enum Verb {
     Test,
     /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test, every cost
     Ci,
+    /// Hold the calibration's solver against OpenCV's on simulated rooms; needs Python and its package index
+    #[command(hide = true)]
+    Oracle {
+        /// How many rooms
+        #[arg(long, default_value_t = 20)]
+        rooms: u64,
+    },
     /// Run one program on the emulated Cortex-M0 and print its log; cargo calls this for `cargo test --target ...`
     #[command(hide = true)]
     Qemu {
@@ -73,6 +81,7 @@ fn main() -> ExitCode {
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
+        Verb::Oracle { rooms } => oracle::oracle(rooms).map(|()| 0),
         Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),
     };
     match done {

@@ -43,6 +43,12 @@ enum Verb {
         #[arg(default_value = "calib/default.toml")]
         calib: PathBuf,
     },
+    /// Measure a room: from a walk under motion capture, or from known places without any
+    ///
+    /// Writes the room (calib/lab.toml), checked and ready for bake, run and the build, and a report to look at
+    /// (target/calibrate/report.html) that says whether it can be trusted. A room file that this wrote before is
+    /// replaced and kept as .toml~; what stands under its [mote] is carried over.
+    Calibrate(xtask::calibrate::Arguments),
     /// Count what the firmware costs: instructions, cycles, flash and stack of each stage, processor load, delays, sizes
     ///
     /// Runs the release firmware's own code in the virtual mote, beside what the position would cost the usual way,
@@ -78,6 +84,7 @@ fn main() -> ExitCode {
     let done = match Arguments::parse().verb {
         Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
         Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),
+        Verb::Calibrate(arguments) => xtask::calibrate::calibrate(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),

@@ -111,12 +111,16 @@ pub fn html(report: &Report) -> String {
             include_str!("report/room.js")
         ),
     );
+    // What is left at a place is the scatter of averages.
+    let one = if report.places { "an average like those at the places" } else { "one sweep" };
     section(
         &mut page,
         "How exact a place will be",
-        "Standard deviation (all three axes together) of a place found from one sweep of each of the four rotors, from \
-         where the stations stand and how much each rotor's residuals scatter. Three slices through the middle of the \
-         path; the tracker, which averages over time, does better. Grey: out of a rotor's light.",
+        &format!(
+            "Standard deviation (all three axes together) of a place found from {one} of each of the four rotors, from \
+             where the stations stand and how much each rotor's residuals scatter. Three slices through the middle of the \
+             path; the tracker, which averages over time, does better. Grey: out of a rotor's light."
+        ),
         &precision::slices(report),
     );
     words(&mut page, "What was found out", report.evidence.iter().map(|sentence| (None, sentence.as_str())));

@@ -75,6 +75,18 @@ pub fn pose(station: &Station) -> ([[i32; 3]; 3], [i32; 3]) {
     (station.rotation.map(|row| row.map(|entry| fixed(entry, 15))), station.position.map(|axis| fixed(axis, 24)))
 }
 
+/// The tracker's settings as source: the usual ones, but for the noise where the room says its own, Q18 radians.
+fn track(calibration: &Calibration) -> String {
+    const USUAL: &str = "lighthouse_mote::track::Config::HAND_HELD";
+    match calibration.mote.angle_noise_mrad {
+        None => USUAL.to_string(),
+        Some(mrad) => {
+            let noise = (mrad * 1e-3 * f64::from(1u32 << 18)).round() as i32;
+            format!("lighthouse_mote::track::Config {{ noise: {noise}, ..{USUAL} }}")
+        }
+    }
+}
+
 /// The age rule in whole half turns, at least one.
 #[must_use]
 pub fn max_age_half_turns(calibration: &Calibration) -> u16 {
@@ -118,7 +130,7 @@ pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Confi
     sweep: lighthouse_mote::sweep::Config::DEFAULT,
     angle: lighthouse_mote::angle::Config::new([{}, {}]).with_received({received:?}),
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},
-    track: lighthouse_mote::track::Config::HAND_HELD,
+    track: {track},
     room: lighthouse_mote::track::Room {{ stations: [{}, {}] }},
     estimate: lighthouse_mote::chain::Estimate::{estimate},
     report_every_half_turns: {every},
@@ -140,6 +152,7 @@ pub const OOTX: lighthouse_mote::ootx::Config =
             Estimate::Track => "Track",
             Estimate::Fix => "Fix",
         },
+        track = track(calibration),
         every = mote.report_every_half_turns,
         pan = mote.pan,
         id = mote.id,

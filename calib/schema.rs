@@ -94,6 +94,8 @@ pub struct Mote {
     pub report_every_half_turns: u16,
     /// The oldest angle a fix may use, ms.
     pub max_angle_age_ms: f64,
+    /// Standard deviation of one angle in this room, mrad, calibration errors included; none for the tracker's usual one.
+    pub angle_noise_mrad: Option<f64>,
     /// Whose factory terms are used, where a station says nothing else.
     pub factory: FactorySource,
 }
@@ -123,6 +125,7 @@ impl Default for Mote {
             estimate: Estimate::Track,
             report_every_half_turns: 4,
             max_angle_age_ms: 100.0,
+            angle_noise_mrad: None,
             factory: FactorySource::File,
         }
     }
@@ -214,6 +217,9 @@ const PHASE_LIMIT_RAD: f64 = 0.2;
 const TILT_LIMIT_RAD: f64 = 0.02;
 const CURVE_LIMIT_RAD: f64 = 0.1;
 const GIBMAG_LIMIT_RAD: f64 = 0.03;
+/// No angle is better than a fifth of a milliradian (the 2020 recording's jitter alone is half of one), and the tracker
+/// holds less than 2^11 / 2^18 rad.
+const ANGLE_NOISE_LIMITS_MRAD: (f64, f64) = (0.2, 7.8);
 
 fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
     let table = both.need_table(name)?;
@@ -286,7 +292,15 @@ impl Mote {
 }
 
 fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
-    table.only(&["id", "pan", "estimate", "report_every_half_turns", "max_angle_age_ms", "factory"])?;
+    table.only(&[
+        "id",
+        "pan",
+        "estimate",
+        "report_every_half_turns",
+        "max_angle_age_ms",
+        "angle_noise_mrad",
+        "factory",
+    ])?;
     let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
         // No larger than `max`, so it fits.
         Ok(table.optional(key, |value, at| at.whole(value, max.into()))?.map_or(usual, |whole| whole as u16))
@@ -296,6 +310,11 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
     let flaw =
         (!(10.0..=2000.0).contains(&max_angle_age_ms)).then(|| format!("{max_angle_age_ms} ms is not in 10 ..= 2000"));
     table.check("max_angle_age_ms", flaw)?;
+    let angle_noise_mrad = table.optional("angle_noise_mrad", |value, at| at.number(value))?.or(usual.angle_noise_mrad);
+    let flaw = angle_noise_mrad
+        .filter(|noise| !(ANGLE_NOISE_LIMITS_MRAD.0..=ANGLE_NOISE_LIMITS_MRAD.1).contains(noise))
+        .map(|noise| format!("{noise} mrad is not in {} ..= {}", ANGLE_NOISE_LIMITS_MRAD.0, ANGLE_NOISE_LIMITS_MRAD.1));
+    table.check("angle_noise_mrad", flaw)?;
     let report_every_half_turns = whole("report_every_half_turns", usual.report_every_half_turns, 12_000)?;
     let flaw = (report_every_half_turns == 0).then(|| "0 would report without end; 1 reports every fix".to_string());
     table.check("report_every_half_turns", flaw)?;
@@ -305,6 +324,7 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         estimate: table.optional("estimate", |value, at| at.estimate(value))?.unwrap_or(usual.estimate),
         report_every_half_turns,
         max_angle_age_ms,
+        angle_noise_mrad,
         factory: table.optional("factory", |value, at| at.factory_source(value))?.unwrap_or(usual.factory),
     })
 }

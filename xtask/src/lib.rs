@@ -6,6 +6,7 @@
 //! of [`svg`] and [`pcap`].
 
 pub mod calib;
+pub mod calibrate;
 pub mod light;
 pub mod output;
 pub mod pcap;

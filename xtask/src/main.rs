@@ -15,6 +15,7 @@ mod bench;
 mod ci;
 mod firmware;
 mod fuzz;
+mod oracle;
 mod process;
 mod qemu;
 mod run;
@@ -44,6 +45,12 @@ enum Verb {
         #[arg(default_value = "calib/default.toml")]
         calib: PathBuf,
     },
+    /// Measure a room: from a walk under motion capture, or from known places without any
+    ///
+    /// Writes the room (calib/lab.toml), checked and ready for bake, run and the build, and a report to look at
+    /// (target/calibrate/report.html) that says whether it can be trusted. A room file that this wrote before is
+    /// replaced and kept as .toml~; what stands under its [mote] is carried over.
+    Calibrate(xtask::calibrate::Arguments),
     /// Count what the firmware costs: instructions, cycles, flash and stack of each stage, processor load, delays, sizes
     ///
     /// Runs the release firmware's own code in the virtual mote, beside what the position would cost the usual way,
@@ -67,6 +74,13 @@ enum Verb {
     Fuzz(fuzz::Arguments),
     /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test, every cost
     Ci,
+    /// Hold the calibration's solver against OpenCV's on simulated rooms; needs Python and its package index
+    #[command(hide = true)]
+    Oracle {
+        /// How many rooms
+        #[arg(long, default_value_t = 20)]
+        rooms: u64,
+    },
     /// Run one program on the emulated Cortex-M0 and print its log; cargo calls this for `cargo test --target ...`
     #[command(hide = true)]
     Qemu {
@@ -82,11 +96,13 @@ fn main() -> ExitCode {
     let done = match Arguments::parse().verb {
         Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
         Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),
+        Verb::Calibrate(arguments) => xtask::calibrate::calibrate(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
+        Verb::Oracle { rooms } => oracle::oracle(rooms).map(|()| 0),
         Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),
     };
     match done {

@@ -49,7 +49,7 @@ pub struct Pose {
 /// The angle an ideal rotor would have measured; `other` is the tangent of the other axis.
 ///
 /// The curve term is left off: it is tiny and its sign disputed.
-fn ideal(rotor: &Rotor, measured: f64, other: f64) -> f64 {
+pub(crate) fn ideal(rotor: &Rotor, measured: f64, other: f64) -> f64 {
     // The correction is a hundredth of a radian and depends on itself only as much again.
     (0..4).fold(measured + rotor.phase, |ideal, _| {
         let lean = (other * rotor.tilt.tan() * ideal.cos()).atan();

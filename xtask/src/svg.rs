@@ -25,13 +25,13 @@ const MOST: usize = 3000;
 /// A line of truth is not drawn over gaps longer than this, seconds.
 const JOIN_S: f64 = 0.25;
 
-const INK: &str = "#1f2933";
-const SOFT: &str = "#68747f";
-const RULE: &str = "#e3e7eb";
+pub(crate) const INK: &str = "#1f2933";
+pub(crate) const SOFT: &str = "#68747f";
+pub(crate) const RULE: &str = "#e3e7eb";
 const DOTS: &str = "#f08c4b";
 const SHADE: &str = "#eef2f6";
-const BLUE: &str = "#2b6cb0";
-const AXES: [&str; 3] = ["x", "y", "z"];
+pub(crate) const BLUE: &str = "#2b6cb0";
+pub(crate) const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// A station as the picture shows it.
 #[derive(Clone, Debug)]
@@ -136,25 +136,25 @@ pub fn draw_curves(title: &str, across: &str, up: &str, curves: &[Curve]) -> Str
 
 /// A straight map from a quantity to pixels.
 #[derive(Clone, Copy)]
-struct Scale {
-    from: f64,
-    to: f64,
-    start: f64,
-    end: f64,
+pub(crate) struct Scale {
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+    pub(crate) start: f64,
+    pub(crate) end: f64,
 }
 
 impl Scale {
-    fn at(&self, value: f64) -> f64 {
+    pub(crate) fn at(&self, value: f64) -> f64 {
         self.start + (value - self.from) / (self.to - self.from) * (self.end - self.start)
     }
 
     /// The pixel of `value`, held inside the frame.
-    fn held(&self, value: f64) -> f64 {
+    pub(crate) fn held(&self, value: f64) -> f64 {
         self.at(value.clamp(self.from.min(self.to), self.from.max(self.to)))
     }
 
     /// Round values at a pleasant distance, at most about `most` of them.
-    fn ticks(&self, most: f64) -> Vec<f64> {
+    pub(crate) fn ticks(&self, most: f64) -> Vec<f64> {
         let step = step((self.to - self.from) / most);
         let first = (self.from / step).ceil() as i64;
         let last = (self.to / step).floor() as i64;
@@ -162,19 +162,19 @@ impl Scale {
     }
 
     /// Digits after the point that tell the ticks apart.
-    fn digits(&self, most: f64) -> usize {
+    pub(crate) fn digits(&self, most: f64) -> usize {
         (-step((self.to - self.from) / most).log10().floor()).max(0.0) as usize
     }
 }
 
 /// The least of 1, 2, 5 times a power of ten that is no less than `least`.
-fn step(least: f64) -> f64 {
+pub(crate) fn step(least: f64) -> f64 {
     let power = 10f64.powf(least.log10().floor());
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= least * 0.999).unwrap_or(10.0 * power)
 }
 
 /// The least and greatest of the values, with a margin; something sensible when there are none.
-fn range(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
+pub(crate) fn range(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
     let (low, high) =
         values.filter(|v| v.is_finite()).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
     if low > high {
@@ -196,11 +196,11 @@ pub fn figure(value: f64, digits: usize) -> String {
 }
 
 /// The value at a tick, with a true minus sign.
-fn label(value: f64, digits: usize) -> String {
+pub(crate) fn label(value: f64, digits: usize) -> String {
     format!("{value:.digits$}").replace('-', "\u{2212}")
 }
 
-fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
@@ -218,16 +218,16 @@ pub fn draw(picture: &Picture) -> String {
     svg
 }
 
-fn text(svg: &mut String, x: f64, y: f64, attributes: &str, words: &str) {
+pub(crate) fn text(svg: &mut String, x: f64, y: f64, attributes: &str, words: &str) {
     let _ = write!(svg, r#"<text x="{x:.1}" y="{y:.1}" {attributes}>{}</text>"#, escape(words));
 }
 
-fn line(svg: &mut String, from: (f64, f64), to: (f64, f64), attributes: &str) {
+pub(crate) fn line(svg: &mut String, from: (f64, f64), to: (f64, f64), attributes: &str) {
     let _ =
         write!(svg, r#"<line x1="{:.1}" y1="{:.1}" x2="{:.1}" y2="{:.1}" {attributes}/>"#, from.0, from.1, to.0, to.1);
 }
 
-fn frame(svg: &mut String, x: f64, y: f64, width: f64, height: f64, attributes: &str) {
+pub(crate) fn frame(svg: &mut String, x: f64, y: f64, width: f64, height: f64, attributes: &str) {
     let _ = write!(svg, r#"<rect x="{x:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" {attributes}/>"#);
 }
 
@@ -362,7 +362,7 @@ fn over_time(svg: &mut String, picture: &Picture) {
 }
 
 /// Words that stay readable over what is drawn.
-fn halo(svg: &mut String, x: f64, y: f64, attributes: &str, words: &str) {
+pub(crate) fn halo(svg: &mut String, x: f64, y: f64, attributes: &str, words: &str) {
     let style = r##"stroke="#fff" stroke-width="4" stroke-linejoin="round" paint-order="stroke""##;
     text(svg, x, y, &format!("{style} {attributes}"), words);
 }

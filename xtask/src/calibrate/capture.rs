@@ -1,0 +1,217 @@
+//! Frames from a capture: a file, a file that still grows, or a pipe.
+//!
+//! Both of Wireshark's formats are read, with the three link types in which IEEE 802.15.4 is captured: with its frame
+//! check sequence, without it, and with a header of the sniffer's own before it.
+//!
+//! What can go wrong: bytes that are no capture, a capture of another network, an end in the middle of a frame. Each
+//! complaint names the file.
+
+use std::io::{Cursor, Read};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow, bail};
+use lighthouse_mote::frame::fcs;
+use pcap_file::DataLink;
+use pcap_file::pcap::PcapReader;
+use pcap_file::pcapng::{Block, PcapNgReader};
+
+/// How a pcapng file begins.
+const PCAPNG: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
+/// How long to wait before looking whether a file has grown.
+const LOOK_AGAIN: Duration = Duration::from_millis(50);
+
+/// Hands each frame, check sequence included, to `take` until that says `false` or the capture ends.
+pub fn frames(name: &str, mut from: impl Read, mut take: impl FnMut(&[u8]) -> bool) -> Result<()> {
+    let mut magic = [0; 4];
+    from.read_exact(&mut magic).with_context(|| format!("{name}: is too short for a capture"))?;
+    let from = Cursor::new(magic).chain(from);
+    if magic == PCAPNG {
+        let mut reader = PcapNgReader::new(from).with_context(|| format!("{name}: cannot be read as pcapng"))?;
+        let mut number = 0;
+        while let Some(block) = reader.next_block() {
+            number += 1;
+            let block = block.with_context(|| format!("{name}: block {number}"))?.into_owned();
+            let (link, data) = match block {
+                Block::EnhancedPacket(packet) => {
+                    (reader.packet_interface(&packet).map(|interface| interface.linktype), packet.data)
+                }
+                Block::SimplePacket(packet) => {
+                    (reader.interfaces().first().map(|interface| interface.linktype), packet.data)
+                }
+                _ => continue,
+            };
+            let link =
+                link.ok_or_else(|| anyhow!("{name}: block {number}: a frame of an interface nobody described"))?;
+            if !hand_over(name, link, &data, &mut take)? {
+                break;
+            }
+        }
+        return Ok(());
+    }
+    let mut reader = PcapReader::new(from).with_context(|| format!("{name}: is neither pcap nor pcapng"))?;
+    let link = reader.header().datalink;
+    let mut number = 0;
+    while let Some(packet) = reader.next_packet() {
+        number += 1;
+        let packet = packet.with_context(|| format!("{name}: frame {number}"))?;
+        if !hand_over(name, link, &packet.data, &mut take)? {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn hand_over(name: &str, link: DataLink, data: &[u8], take: &mut impl FnMut(&[u8]) -> bool) -> Result<bool> {
+    let with_check = |bytes: &[u8]| {
+        let mut frame = bytes.to_vec();
+        frame.extend(fcs(bytes).to_le_bytes());
+        frame
+    };
+    Ok(match link {
+        DataLink::IEEE802_15_4 => take(data),
+        DataLink::IEEE802_15_4_NOFCS => take(&with_check(data)),
+        DataLink::IEEE802_15_4_TAP => match tap(data) {
+            Some((frame, true)) => take(frame),
+            Some((frame, false)) => take(&with_check(frame)),
+            // A frame whose sniffer stumbled is a frame lost.
+            None => true,
+        },
+        other => bail!("{name}: link type {other:?} is not IEEE 802.15.4 (195, 230 or 283)"),
+    })
+}
+
+/// The frame after a TAP header, and whether its 16-bit check sequence is there
+/// (github.com/jkcko/ieee802.15.4-tap: version, length, then type-length-values; type 0 says which check sequence).
+fn tap(data: &[u8]) -> Option<(&[u8], bool)> {
+    let word = |at: usize| Some(usize::from(u16::from_le_bytes(data.get(at..at + 2)?.try_into().ok()?)));
+    let length = word(2)?;
+    let mut at = 4;
+    let mut check = false;
+    while at + 4 <= length {
+        if word(at)? == 0 {
+            check = *data.get(at + 4)? == 1;
+        }
+        at += 4 + word(at + 2)?.next_multiple_of(4);
+    }
+    Some((data.get(length..)?, check))
+}
+
+/// A file that may still grow: its end is a pause, until somebody says that it is enough.
+#[derive(Debug)]
+pub struct Growing<R> {
+    from: R,
+    caught_up: Arc<AtomicBool>,
+    enough: Arc<AtomicBool>,
+}
+
+impl<R: Read> Growing<R> {
+    /// `caught_up` is set at the first pause; setting `enough` ends the waiting.
+    pub fn new(from: R, caught_up: Arc<AtomicBool>, enough: Arc<AtomicBool>) -> Self {
+        Self { from, caught_up, enough }
+    }
+}
+
+impl<R: Read> Read for Growing<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        loop {
+            let count = self.from.read(bytes)?;
+            if count > 0 || bytes.is_empty() || self.enough.load(Ordering::Relaxed) {
+                return Ok(count);
+            }
+            self.caught_up.store(true, Ordering::Relaxed);
+            std::thread::sleep(LOOK_AGAIN);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::slice;
+
+    use super::*;
+    use crate::pcap::{self, Frame};
+
+    fn read(bytes: &[u8]) -> Result<Vec<Vec<u8>>> {
+        let mut out = Vec::new();
+        frames("air.pcap", bytes, |frame| {
+            out.push(frame.to_vec());
+            true
+        })?;
+        Ok(out)
+    }
+
+    /// A classic capture of `data`, as another program would write it: big-endian, nanoseconds.
+    fn foreign(link: u32, data: &[u8]) -> Vec<u8> {
+        let length = data.len() as u32;
+        let words = [0xA1B2_3C4D, 0x0002_0004, 0, 0, 65_535, link, 5, 6, length, length];
+        let mut bytes: Vec<u8> = words.iter().flat_map(|word: &u32| word.to_be_bytes()).collect();
+        bytes.extend(data);
+        bytes
+    }
+
+    #[test]
+    fn what_a_run_writes_is_read_back() {
+        let all: Vec<Frame> = (0..3).map(|n| Frame { micros: n, bytes: vec![n as u8; 20] }).collect();
+        let mut bytes = Vec::new();
+        pcap::write(&all, &mut bytes).unwrap();
+        assert_eq!(read(&bytes).unwrap(), all.into_iter().map(|frame| frame.bytes).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_frame_without_its_check_sequence_gets_it_back() {
+        let whole = pcap::tests::data_frame(7, b"light");
+        let bare = &whole[..whole.len() - 2];
+        assert_eq!(read(&foreign(195, &whole)).unwrap(), slice::from_ref(&whole));
+        assert_eq!(read(&foreign(230, bare)).unwrap(), slice::from_ref(&whole));
+        // Version 0, 12 bytes: check sequence of type 1, 16 bits, padded.
+        let tap = [&[0, 0, 12, 0, 0, 0, 1, 0, 1, 0, 0, 0], &whole[..]].concat();
+        assert_eq!(read(&foreign(283, &tap)).unwrap(), slice::from_ref(&whole));
+        let tap = [&[0, 0, 12, 0, 0, 0, 1, 0, 0, 0, 0, 0], bare].concat();
+        assert_eq!(read(&foreign(283, &tap)).unwrap(), [whole]);
+        assert!(read(&foreign(283, &[0, 0, 60, 0, 1])).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_capture_of_something_else_is_refused_by_name() {
+        let said = format!("{:#}", read(&foreign(1, b"ethernet")).unwrap_err());
+        assert!(said.starts_with("air.pcap: link type ETHERNET is not IEEE 802.15.4"), "{said}");
+        for bytes in [&b"time_s,x_m\n0,1,2,3,4,5,6,7,8,9,0,1\n"[..], b"ab"] {
+            let said = format!("{:#}", read(bytes).unwrap_err());
+            assert!(said.starts_with("air.pcap: is "), "{said}");
+        }
+        let mut cut = foreign(195, b"a frame that ends too early");
+        cut.truncate(cut.len() - 3);
+        assert!(format!("{:#}", read(&cut).unwrap_err()).starts_with("air.pcap: frame 1"));
+    }
+
+    #[test]
+    fn a_growing_file_is_read_on_until_it_is_enough() {
+        use std::io::Write;
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("air.pcap");
+        let mut bytes = Vec::new();
+        let all: Vec<Frame> = (0..2).map(|n| Frame { micros: n, bytes: vec![n as u8; 20] }).collect();
+        pcap::write(&all, &mut bytes).unwrap();
+        // The second frame comes in two parts, later.
+        let half = bytes.len() - 10;
+        std::fs::write(&path, &bytes[..half]).unwrap();
+        let [caught_up, enough] = [false; 2].map(|flag| Arc::new(AtomicBool::new(flag)));
+        let growing = Growing::new(std::fs::File::open(&path).unwrap(), caught_up.clone(), enough);
+        let writer = std::thread::spawn(move || {
+            while !caught_up.load(Ordering::Relaxed) {
+                std::thread::sleep(LOOK_AGAIN);
+            }
+            std::fs::OpenOptions::new().append(true).open(path).unwrap().write_all(&bytes[half..]).unwrap();
+        });
+        let mut seen = 0;
+        frames("air.pcap", growing, |_| {
+            seen += 1;
+            seen < 2
+        })
+        .unwrap();
+        writer.join().unwrap();
+        assert_eq!(seen, 2);
+    }
+}

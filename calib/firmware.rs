@@ -128,6 +128,7 @@ pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
         "{provenance}/// The room, as baked from `{file}`.
 pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
     sweep: lighthouse_mote::sweep::Config::DEFAULT,
+    ootx: lighthouse_mote::ootx::Config {{ ids: {ids:?}, ..lighthouse_mote::ootx::Config::DEFAULT }},
     angle: lighthouse_mote::angle::Config::new([{}, {}]).with_received({received:?}),
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},
     track: {track},
@@ -139,10 +140,6 @@ pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Confi
 pub const PAN: u16 = {pan};
 /// The mote's short address.
 pub const MOTE: u16 = {id};
-/// How the stations are listened to, and who they should be.
-#[allow(dead_code, reason = \"not every binary listens\")]
-pub const OOTX: lighthouse_mote::ootx::Config =
-    lighthouse_mote::ootx::Config {{ ids: {ids:?}, ..lighthouse_mote::ootx::Config::DEFAULT }};
 ",
         rotors[0],
         rotors[1],
@@ -151,6 +148,7 @@ pub const OOTX: lighthouse_mote::ootx::Config =
         estimate = match mote.estimate {
             Estimate::Track => "Track",
             Estimate::Fix => "Fix",
+            Estimate::Angles => "Angles",
         },
         track = track(calibration),
         every = mote.report_every_half_turns,

@@ -115,6 +115,8 @@ pub enum Estimate {
     Track,
     /// `"fix"`: each fix as it is.
     Fix,
+    /// `"angles"`: nobody's: the sweeps themselves go out, from which a room is calibrated.
+    Angles,
 }
 
 impl Default for Mote {
@@ -472,7 +474,8 @@ impl<'a> At<'a> {
         match value.get_ref() {
             DeValue::String(text) if text == "track" => Ok(Estimate::Track),
             DeValue::String(text) if text == "fix" => Ok(Estimate::Fix),
-            other => Err(self.error(value, format!("{} is neither \"track\" nor \"fix\"", shown(other)))),
+            DeValue::String(text) if text == "angles" => Ok(Estimate::Angles),
+            other => Err(self.error(value, format!("{} is none of \"track\", \"fix\" and \"angles\"", shown(other)))),
         }
     }
 

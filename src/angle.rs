@@ -66,6 +66,14 @@ impl Config {
     pub const fn with_received(self, stations: [bool; 2]) -> Self {
         Self { received: stations, ..self }
     }
+
+    /// Whether any station is asked for its own terms.
+    #[must_use]
+    #[inline(always)]
+    pub const fn asks(&self) -> bool {
+        let [a, b] = self.received;
+        a || b
+    }
 }
 
 /// The newest angle of every rotor, and how many sweeps were turned away.

@@ -9,16 +9,18 @@
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
 
 use crate::edge::Edge;
-use crate::frame::{Level, Losses, Report};
-use crate::sweep::{Closed, HalfTurn, Light, Sweep};
-use crate::time::Ticks;
-use crate::{angle, fix, pulse, sweep, track};
+use crate::frame::{self, Angles, Health, Level, Lock, Losses, Measured, Rejects, Report};
+use crate::sweep::{Closed, HalfTurn, Light, Station, Status, Sweep, Sync};
+use crate::time::{Span, Ticks};
+use crate::{angle, fix, ootx, pulse, sweep, track};
 
 /// Everything that is configured: the tolerances, the stations' factory terms, the room, the rate.
 #[derive(Debug, Clone)]
 pub struct Config {
     /// How light is understood.
     pub sweep: sweep::Config,
+    /// How often the stations are listened to, and who they should be.
+    pub ootx: ootx::Config,
     /// The rotors' factory terms.
     pub angle: angle::Config,
     /// The room as the solver wants it, and the age rule.
@@ -41,6 +43,8 @@ pub enum Estimate {
     Track,
     /// Each fix as it is, where the four newest angles give one.
     Fix,
+    /// Nobody's: the sweeps themselves go out, from which a room is calibrated. See [`Batch`].
+    Angles,
 }
 
 /// What the solving half needs to hear of.
@@ -49,6 +53,8 @@ pub enum Estimate {
 pub struct Sighting {
     /// What was seen.
     pub seen: Seen,
+    /// The flashes of that half turn.
+    pub flashes: Flashes,
     /// Edges without a partner so far, wrapping.
     pub edges_lost: u16,
     /// Pulses that were turned away so far, wrapping.
@@ -72,11 +78,46 @@ pub enum Seen {
     Lost,
 }
 
+/// The flashes of one half turn, and the bit that each carries.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Flashes {
+    /// When the later one came.
+    at: Ticks,
+    /// Bits 0 and 1: A was seen, and its data bit; 2 and 3: the same of B.
+    bits: u8,
+}
+
+impl Flashes {
+    fn note(&mut self, sync: Sync, at: Ticks) {
+        self.at = at;
+        self.bits |= (1 | u8::from(sync.data) << 1) << (2 * sync.station as u32);
+    }
+
+    /// The data bit of a station, if its flash was seen.
+    fn data(self, station: Station) -> Option<bool> {
+        let bits = self.bits >> (2 * station as u32);
+        (bits & 1 != 0).then_some(bits & 2 != 0)
+    }
+}
+
+/// What the first half knows of itself, for [`Solver::health`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Understood {
+    status: Status,
+    half_turn_q8: u32,
+    counts: sweep::Counts,
+    width_bias: [Option<i16>; 2],
+    edges_lost: u16,
+}
+
 /// The first half: edges to sightings.
 #[derive(Debug, Clone, Default)]
 pub struct Classifier {
     pulse: pulse::State,
     sweep: sweep::State,
+    flashes: Flashes,
 }
 
 impl Classifier {
@@ -93,7 +134,13 @@ impl Classifier {
         match sweep::step(&config.sweep, &mut self.sweep, pulse) {
             Some(Light::Sweep(sweep)) => self.sighting(Seen::Sweep(sweep)),
             Some(Light::Lost) => self.sighting(Seen::Lost),
-            Some(Light::Sync(_)) | None => self.closed(pulse.start),
+            Some(Light::Sync(sync)) => {
+                // The slot that this flash ends had its own.
+                let sighting = self.closed(pulse.start);
+                self.flashes.note(sync, pulse.start);
+                sighting
+            }
+            None => self.closed(pulse.start),
         }
     }
 
@@ -115,14 +162,35 @@ impl Classifier {
         self.closed(now)
     }
 
-    fn sighting(&self, seen: Seen) -> Option<Sighting> {
-        Some(Sighting { seen, edges_lost: self.pulse.lost(), pulses_lost: self.sweep.counts().turned_away })
+    fn sighting(&mut self, seen: Seen) -> Option<Sighting> {
+        let flashes = self.flashes;
+        self.flashes.bits = 0;
+        Some(Sighting { seen, flashes, edges_lost: self.pulse.lost(), pulses_lost: self.sweep.counts().turned_away })
     }
 
     /// How often each kind of light was understood.
     #[must_use]
     pub fn counts(&self) -> sweep::Counts {
         self.sweep.counts()
+    }
+
+    /// The measured half turn, while the cycle is locked.
+    #[must_use]
+    pub fn half_turn(&self) -> Option<HalfTurn> {
+        self.sweep.half_turn()
+    }
+
+    /// What is known by `now`, which is later than every pulse.
+    #[must_use]
+    #[inline(never)]
+    pub fn understood(&self, now: Ticks) -> Understood {
+        Understood {
+            status: self.sweep.status(now),
+            half_turn_q8: self.half_turn().map_or(0, HalfTurn::ticks_q8),
+            counts: self.sweep.counts(),
+            width_bias: [self.sweep.width_bias(Station::A), self.sweep.width_bias(Station::B)],
+            edges_lost: self.pulse.lost(),
+        }
     }
 }
 
@@ -136,6 +204,27 @@ pub struct Solver {
     heard: Option<Ticks>,
     disbelieved: u16,
     reported: Option<Ticks>,
+    ears: [Ear; 2],
+    /// Half turns to go by before the stations are listened to again.
+    rest: u16,
+}
+
+/// What is heard of one station.
+#[derive(Debug, Clone, Default)]
+struct Ear {
+    ootx: ootx::State,
+    /// Its latest flash.
+    at: Option<Ticks>,
+    /// Who it said it is, since the cycle was found.
+    known: Option<Known>,
+}
+
+/// A station, as it said itself.
+#[derive(Debug, Clone, Copy)]
+struct Known {
+    id: u32,
+    mode: u8,
+    faults: u8,
 }
 
 /// Fraction bits of the tracker's time, 256 to a half turn, less than those of a share.
@@ -145,6 +234,11 @@ impl Solver {
     /// Takes one sighting.
     #[inline]
     pub fn step(&mut self, config: &Config, sighting: Sighting) -> Option<Report> {
+        if self.rest > 0 {
+            self.rest -= 1;
+        } else {
+            self.listen(config, sighting.seen, sighting.flashes);
+        }
         let (at, half_turn) = match sighting.seen {
             Seen::Sweep(sweep) => {
                 // A sweep out of view says nothing of the place, but the time of a report has come.
@@ -169,6 +263,9 @@ impl Solver {
                 self.track = track::State::default();
                 self.heard = None;
                 self.reported = None;
+                // Who flashes may be others, from now on.
+                self.rest = 0;
+                self.ears.iter_mut().for_each(Ear::forget);
                 return None;
             }
         };
@@ -184,17 +281,19 @@ impl Solver {
         let mut report = match config.estimate {
             Estimate::Track => self.tracked(config, at, half_turn)?,
             Estimate::Fix => self.fixed(config, at, half_turn)?,
+            Estimate::Angles => return None,
         };
         self.reported = Some(at);
         report.time = at.0;
         report.half_turn_q8 = half_turn.ticks_q8();
         report.age = U8F8::from_bits(saturated(half_turn.share(self.fix.age(at)) >> TRACK_TIME_SHIFT));
         report.stations = self.fix.stations(&config.fix, at, half_turn);
+        let refused = self.fix.refused();
         report.losses = Losses {
             edges: sighting.edges_lost,
             pulses: sighting.pulses_lost,
             sweeps: self.angle.outside(),
-            fixes: self.fix.refused().wrapping_add(self.disbelieved),
+            fixes: refused.geometry.wrapping_add(refused.mismatch).wrapping_add(self.disbelieved),
             reports: 0,
         };
         Some(report)
@@ -219,6 +318,78 @@ impl Solver {
                 }
             }
         }
+    }
+
+    /// Hands the bits of the flashes to the stations' frames, and takes note of who says what.
+    #[inline(never)]
+    fn listen(&mut self, config: &Config, seen: Seen, flashes: Flashes) {
+        let half_turn = match seen {
+            Seen::Sweep(sweep) => sweep.half_turn,
+            Seen::Nothing { half_turn, .. } => half_turn,
+            Seen::Lost => return,
+        };
+        for (station, ear) in [Station::A, Station::B].into_iter().zip(&mut self.ears) {
+            let Some(bit) = flashes.data(station) else { continue };
+            let Some(block) = ear.hear(&config.ootx, bit, flashes.at, half_turn) else { continue };
+            if config.angle.asks()
+                && let Some(rotors) = angle::received(&block)
+            {
+                angle::receive(&config.angle, &mut self.angle, station, rotors);
+            }
+        }
+        if self.ears.iter().all(|ear| ear.ootx.is_resting()) {
+            self.rest = config.ootx.rest_bits;
+            self.ears.iter_mut().for_each(|ear| {
+                ear.ootx.restart();
+                ear.at = None;
+            });
+        }
+    }
+
+    /// How the mote is. Left to the board: uptime, reset, queues, and what it lost by itself.
+    #[must_use]
+    #[inline(never)]
+    pub fn health(&self, config: &Config, understood: &Understood) -> Health {
+        let Understood { status, half_turn_q8, counts, width_bias, edges_lost } = understood;
+        let refused = self.fix.refused();
+        let mut health = Health {
+            half_turn_q8: *half_turn_q8,
+            lock: lock(*status),
+            syncs: counts.syncs,
+            sweeps: counts.sweeps,
+            rejects: Rejects {
+                edges: *edges_lost,
+                strays: counts.strays,
+                widths: counts.misfits,
+                short: counts.too_short,
+                long: counts.too_long,
+                second: counts.seconds,
+                outside: self.angle.outside(),
+                geometry: refused.geometry,
+                mismatch: refused.mismatch,
+                disbelieved: self.disbelieved,
+                reports: 0,
+                locks: counts.locks_lost,
+            },
+            ..Health::default()
+        };
+        for (index, station) in [Station::A, Station::B].into_iter().enumerate() {
+            let (told, ear, bias) = (&mut health.stations[index], &self.ears[index], width_bias[index]);
+            *told = frame::Station {
+                good: ear.ootx.good(),
+                bad: ear.ootx.bad(),
+                width_bias: steps_q5(bias.unwrap_or(0)),
+                factory: self.angle.factory(&config.angle, station),
+                ..frame::Station::default()
+            };
+            if let Some(known) = ear.known {
+                told.id = known.id;
+                told.mode = known.mode;
+                told.faults = known.faults;
+                told.is_stranger = config.ootx.is_stranger(station, known.id);
+            }
+        }
+        health
     }
 
     fn tracked(&mut self, config: &Config, at: Ticks, half_turn: HalfTurn) -> Option<Report> {
@@ -266,6 +437,88 @@ impl Solver {
     }
 }
 
+impl Understood {
+    /// Whether the cycle is known, and so reports are to be expected.
+    #[must_use]
+    pub const fn is_locked(&self) -> bool {
+        matches!(self.status, Status::Locked)
+    }
+}
+
+impl Ear {
+    /// Takes the bit of a flash at `at`; gives the block that it completes.
+    fn hear(&mut self, config: &ootx::Config, bit: bool, at: Ticks, half_turn: HalfTurn) -> Option<ootx::Block> {
+        // The flashes of a slot are a twentieth of a half turn apart, so rounding tells how many slots went by.
+        let slots = self.at.replace(at).map_or(u32::MAX, |before| {
+            half_turn.share(at.since(before)).saturating_add(1 << (sweep::HALF_TURN_BITS - 1)) >> sweep::HALF_TURN_BITS
+        });
+        let missed = slots.saturating_sub(1);
+        if missed > 0 {
+            ootx::gap(&mut self.ootx, u8::try_from(missed).unwrap_or(u8::MAX));
+        }
+        let Some(ootx::Outcome::Good(block)) = ootx::step(config, &mut self.ootx, bit) else { return None };
+        self.known = Some(Known { id: block.id(), mode: block.mode(), faults: block.faults() });
+        Some(block)
+    }
+
+    fn forget(&mut self) {
+        self.ootx.restart();
+        self.at = None;
+        self.known = None;
+    }
+}
+
+/// Sweeps as measured, gathered until they fill a frame: [`Estimate::Angles`].
+#[derive(Debug, Clone, Default)]
+pub struct Batch {
+    angles: Angles,
+}
+
+impl Batch {
+    /// The longest that a sweep waits, in half turns: 0.25 s.
+    const PATIENCE: u32 = 30;
+
+    /// Takes one sighting; gives the sweeps when they are a frame full, or one of them has waited long enough.
+    pub fn step(&mut self, sighting: &Sighting) -> Option<Angles> {
+        let (at, half_turn) = match &sighting.seen {
+            Seen::Sweep(sweep) => {
+                // Handed over below as soon as it is full, so there is room.
+                let _ = self.angles.sweeps.push(Measured::from(sweep));
+                (sweep.at, sweep.half_turn)
+            }
+            Seen::Nothing { at, half_turn } => (*at, *half_turn),
+            // What was measured stays true.
+            Seen::Lost => return self.hand_over(),
+        };
+        self.angles.half_turn_q8 = half_turn.ticks_q8();
+        let oldest = Ticks(self.angles.sweeps.first()?.time);
+        let patience = Span(half_turn.span().0.saturating_mul(Self::PATIENCE));
+        if self.angles.sweeps.is_full() || at.since(oldest) > patience { self.hand_over() } else { None }
+    }
+
+    fn hand_over(&mut self) -> Option<Angles> {
+        if self.angles.sweeps.is_empty() { None } else { Some(core::mem::take(&mut self.angles)) }
+    }
+}
+
+/// The status as it travels.
+fn lock(status: Status) -> Lock {
+    match status {
+        Status::Locked => Lock::Locked,
+        Status::Searching => Lock::Searching,
+        Status::NoLight => Lock::NoLight,
+        Status::OneStation => Lock::OneStation,
+        Status::Spacing => Lock::Spacing,
+        Status::Widths => Lock::Widths,
+        Status::V2 => Lock::V2,
+    }
+}
+
+/// 2^-20 half turns as 1/32 width steps, of which there are 25,600 in a half turn: 2^20 / 25,600 is 1024 / 25.
+fn steps_q5(bias: i16) -> i8 {
+    ((i32::from(bias) * 25) >> 10).clamp(i32::from(i8::MIN), i32::from(i8::MAX)) as i8
+}
+
 /// From `earlier` to `later` in the tracker's units of time.
 fn elapsed(earlier: Ticks, later: Ticks, half_turn: HalfTurn) -> u32 {
     half_turn.share(later.since(earlier)) >> TRACK_TIME_SHIFT
@@ -298,5 +551,11 @@ impl Chain {
     pub fn expire(&mut self, config: &Config, now: Ticks) -> Option<Report> {
         let sighting = self.classifier.expire(config, now)?;
         self.solver.step(config, sighting)
+    }
+
+    /// How the mote is by `now`, which is later than every edge.
+    #[must_use]
+    pub fn health(&self, config: &Config, now: Ticks) -> Health {
+        self.solver.health(config, &self.classifier.understood(now))
     }
 }

@@ -44,7 +44,17 @@ impl Config {
 pub struct State {
     /// Indexed az A, el A, az B, el B.
     newest: [Option<(Angle, Ticks)>; 4],
-    refused: u16,
+    refused: Refused,
+}
+
+/// Fixes refused since start-up, wrapping.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Refused {
+    /// The rays were too close to parallel, met outside the room, or an angle was out of view.
+    pub geometry: u16,
+    /// The rays missed each other.
+    pub mismatch: u16,
 }
 
 /// A position and how good it is.
@@ -64,9 +74,9 @@ pub struct Fix {
 }
 
 impl State {
-    /// Fixes refused since start-up for geometry or mismatch, wrapping.
+    /// Fixes refused since start-up.
     #[must_use]
-    pub const fn refused(&self) -> u16 {
+    pub const fn refused(&self) -> Refused {
         self.refused
     }
 
@@ -122,8 +132,12 @@ pub fn newest(config: &Config, state: &mut State, now: Ticks, half_turn: HalfTur
     }
     match solve(&config.calib, &known.map(|(angle, _)| angle)) {
         Ok(Solution { position, mismatch }) => Some(Fix { position, mismatch, at: now, age, half_turn }),
-        Err(_) => {
-            state.refused = state.refused.wrapping_add(1);
+        Err(reject) => {
+            let count = match reject {
+                Reject::FieldOfView | Reject::Geometry => &mut state.refused.geometry,
+                Reject::Mismatch => &mut state.refused.mismatch,
+            };
+            *count = count.wrapping_add(1);
             None
         }
     }

@@ -37,8 +37,8 @@ mod health;
 
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
 
-pub use self::angles::{ANGLES, ANGLES_LEN, Angles, Measured, emit_angles};
-pub use self::health::{Factory, HEALTH_LEN, Health, Lock, Rejects, Reset, Station, emit_health};
+pub use self::angles::{ANGLES, ANGLES_LEN, Angles, Measured, emit_angles, emit_angles_into};
+pub use self::health::{Factory, HEALTH_LEN, Health, Lock, Rejects, Reset, Station, emit_health, emit_health_into};
 pub use crate::track::Level;
 
 /// The format described in the module documentation.
@@ -268,14 +268,34 @@ fn seal(frame: &mut [u8]) {
     }
 }
 
-/// A frame on a word, where it is cheap to check and a transmitter can read it.
+/// Bytes of the longest frame.
+pub const MAX_LEN: usize = if HEALTH_LEN > ANGLES_LEN { HEALTH_LEN } else { ANGLES_LEN };
+
+/// A frame of any kind on a word, where it is cheap to check and a transmitter can read it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(align(4))]
-pub struct Aligned(pub [u8; LEN]);
+#[repr(C, align(4))]
+pub struct Aligned {
+    room: [u8; MAX_LEN],
+    len: u32,
+}
 
 impl Aligned {
     /// No frame yet.
-    pub const BLANK: Self = Self([0; LEN]);
+    pub const BLANK: Self = Self { room: [0; MAX_LEN], len: 0 };
+
+    /// The frame, FCS included; empty while there is none.
+    #[must_use]
+    #[inline]
+    pub fn bytes(&self) -> &[u8] {
+        self.room.get(..self.len as usize).unwrap_or(&[])
+    }
+
+    /// The first `L` bytes, which are a frame from now on.
+    #[inline(always)]
+    fn take<const L: usize>(&mut self) -> Option<&mut [u8; L]> {
+        self.len = L as u32;
+        self.room.first_chunk_mut()
+    }
 }
 
 /// The whole frame of a fix, FCS included.
@@ -283,13 +303,13 @@ impl Aligned {
 pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
     let mut frame = Aligned::BLANK;
     emit_into(&mut frame, header, report);
-    frame.0
+    frame.room.first_chunk().copied().unwrap_or([0; LEN])
 }
 
 /// The same where it is to be, which saves copies.
 #[inline(always)]
 pub fn emit_into(frame: &mut Aligned, header: Header, report: &Report) {
-    let bytes = &mut frame.0;
+    let Some(bytes) = frame.take::<LEN>() else { return };
     let mut to = Writer { bytes, at: 0 };
     envelope(&mut to, header, KIND_FIX);
     to.put(report.time.to_le_bytes());

@@ -20,7 +20,7 @@
 
 use heapless::Vec;
 
-use super::{Header, Reader, Reject, Writer, envelope, seal};
+use super::{Aligned, Header, Reader, Reject, Writer, envelope, seal};
 use crate::sweep::{Axis, Station, Sweep};
 
 /// Sweeps in a frame, at most.
@@ -92,6 +92,15 @@ pub fn emit_angles<'a>(header: Header, angles: &Angles, bytes: &'a mut [u8; ANGL
     let Some(frame) = bytes.get_mut(..len(angles.sweeps.len())) else { return &[] };
     seal(frame);
     frame
+}
+
+/// The same where it is to be; false where there are no sweeps.
+#[inline(never)]
+pub fn emit_angles_into(frame: &mut Aligned, header: Header, angles: &Angles) -> bool {
+    let Some(bytes) = frame.take::<ANGLES_LEN>() else { return false };
+    let len = emit_angles(header, angles, bytes).len();
+    frame.len = len as u32;
+    len > 0
 }
 
 /// What follows the envelope.

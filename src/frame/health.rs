@@ -33,7 +33,7 @@
 //!
 //! What can go wrong: codes that mean nothing; they are refused.
 
-use super::{Header, Reader, Reject, Writer, code, envelope, seal};
+use super::{Aligned, Header, Reader, Reject, Writer, code, envelope, seal};
 pub use crate::angle::Factory;
 
 /// Bytes of a whole health frame, FCS included.
@@ -168,8 +168,16 @@ const STRANGER: u8 = 1 << 2;
 /// The whole frame, FCS included.
 #[must_use]
 pub fn emit_health(header: Header, health: &Health) -> [u8; HEALTH_LEN] {
-    let mut bytes = [0; HEALTH_LEN];
-    let mut to = Writer { bytes: &mut bytes, at: 0 };
+    let mut frame = Aligned::BLANK;
+    emit_health_into(&mut frame, header, health);
+    frame.room.first_chunk().copied().unwrap_or([0; HEALTH_LEN])
+}
+
+/// The same where it is to be.
+#[inline(never)]
+pub fn emit_health_into(frame: &mut Aligned, header: Header, health: &Health) {
+    let Some(bytes) = frame.take::<HEALTH_LEN>() else { return };
+    let mut to = Writer { bytes: &mut *bytes, at: 0 };
     envelope(&mut to, header, super::KIND_HEALTH);
     to.put(health.uptime.to_le_bytes());
     to.put(health.half_turn_q8.to_le_bytes());
@@ -220,8 +228,7 @@ pub fn emit_health(header: Header, health: &Health) -> [u8; HEALTH_LEN] {
         to.put(station.width_bias.to_le_bytes());
         to.put([station.factory as u8 | if station.is_stranger { STRANGER } else { 0 }]);
     }
-    seal(&mut bytes);
-    bytes
+    seal(bytes);
 }
 
 /// What follows the envelope.

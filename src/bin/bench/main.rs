@@ -23,7 +23,7 @@ use core::mem::MaybeUninit;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use fixed::types::{I6F10, I16F16, U0F16};
 use lighthouse_mote::angle::{self, Bearing};
-use lighthouse_mote::chain::{Classifier, Seen, Sighting, Solver};
+use lighthouse_mote::chain::{Classifier, Flashes, Seen, Sighting, Solver};
 use lighthouse_mote::edge::Edge;
 use lighthouse_mote::fix::{self, Angle, Solution};
 use lighthouse_mote::frame::{self, Aligned, Header, Level, Report};
@@ -120,6 +120,10 @@ const POINTS: [[f32; 3]; 8] = [
 /// 8.333 ms at 10 MHz.
 const HALF_TURN: u32 = 83_333;
 
+fn nothing_seen() -> Sighting {
+    Sighting { seen: Seen::Lost, flashes: Flashes::default(), edges_lost: 0, pulses_lost: 0 }
+}
+
 /// Starts everything anew. To be called before anything else.
 #[unsafe(no_mangle)]
 pub extern "C" fn reset() {
@@ -133,8 +137,8 @@ pub extern "C" fn reset() {
         bearing: Bearing { station: Station::A, axis: Axis::Azimuth, angle: Angle(0), at, half_turn },
         heading: track::Sweep { station: Station::A, axis: Axis::Azimuth, angle: Angle(0), elapsed: 0 },
         solution: Solution { position: [0; 3], mismatch: 0 },
-        sighting: Sighting { seen: Seen::Lost, edges_lost: 0, pulses_lost: 0 },
-        lit: Sighting { seen: Seen::Lost, edges_lost: 0, pulses_lost: 0 },
+        sighting: nothing_seen(),
+        lit: nothing_seen(),
         report: Report::default(),
         frame: Aligned::BLANK,
         pulses: pulse::State::default(),
@@ -355,7 +359,7 @@ pub extern "C" fn stage_frame(_: u32, _: u32) -> u32 {
     let rig = rig();
     let header = Header { pan: PAN, mote: MOTE, sequence: rig.report.time as u16 };
     frame::emit_into(&mut rig.frame, header, &rig.report);
-    u32::from(rig.frame.0[0])
+    rig.frame.bytes().len() as u32
 }
 
 /// A variance to a standard deviation.

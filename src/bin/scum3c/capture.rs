@@ -112,6 +112,12 @@ impl Reader {
         QUEUE.read.load(Ordering::Relaxed) == QUEUE.written.load(Ordering::Relaxed)
     }
 
+    /// Pulses not yet read.
+    #[inline]
+    pub fn waiting(&self) -> u8 {
+        QUEUE.written.load(Ordering::Relaxed).wrapping_sub(QUEUE.read.load(Ordering::Relaxed)) as u8
+    }
+
     /// The oldest pulse not yet read.
     #[inline]
     pub fn next(&mut self) -> Option<Pulse> {

@@ -10,6 +10,7 @@ use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use cortex_m_rt::{ExceptionFrame, exception};
+use lighthouse_mote::frame::Reset;
 
 use crate::uart_log;
 
@@ -36,6 +37,16 @@ pub struct Crash {
     pub kind: u32,
     /// Where.
     pub at: u32,
+}
+
+impl Crash {
+    /// As a health frame says it.
+    pub const fn reset(&self) -> Reset {
+        match self.kind {
+            kind if kind == Kind::HardFault as u32 => Reset::Fault,
+            _ => Reset::Panic,
+        }
+    }
 }
 
 struct Crumb {

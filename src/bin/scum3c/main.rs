@@ -6,7 +6,7 @@
 //! | priority | task | line | does |
 //! |---|---|---|---|
 //! | 4 | `rise`, `fall` | 12, 13 | stamp the light |
-//! | 3 | `classify`, `expire` | 4, 10 | pulses to sightings |
+//! | 3 | `classify`, `second` | 4, 10 | pulses to sightings |
 //! | 2 | `radio`, `alarm` | 6, 7 | frames onto the air |
 //! | 1 | `solve` | 5 | sightings to frames |
 //! | 0 | `idle` | | carries the log, sleeps |
@@ -34,14 +34,14 @@ mod calib {
 
 #[rtic::app(device = crate::pac, peripherals = false)]
 mod app {
-    use lighthouse_mote::frame::Header;
+    use lighthouse_mote::frame::{Header, Reset};
 
     use crate::calib::{CONFIG, MOTE, PAN};
     use crate::capture::{self, Capture};
     use crate::pac::Interrupt;
-    use crate::radio::{Frames, Radio};
-    use crate::rf_timer::{self, Alarm, HEARTBEAT};
-    use crate::stages::{Classify, Sightings, Solve};
+    use crate::radio::{Frames as Air, Radio};
+    use crate::rf_timer::{self, Alarm, SECOND};
+    use crate::stages::{Classify, Frames, Sightings, Solve, Tales};
     use crate::{bring_up, fault, uart_log};
 
     #[shared]
@@ -61,21 +61,25 @@ mod app {
 
     #[init(local = [
         sightings: Sightings = Sightings::new(),
-        frames: Frames = Frames::new(),
+        tales: Tales = Tales::new(),
+        frames: Air = Air::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         bring_up::chip();
         rf_timer::start();
-        rf_timer::arm(Alarm::Heartbeat, HEARTBEAT);
-        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", MOTE, fault::last());
+        rf_timer::arm(Alarm::Second, SECOND);
+        let crash = fault::last();
+        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", MOTE, crash);
 
         let (capture, pulses) = capture::start();
         let (to_solve, sightings) = cx.local.sightings.split();
+        let (to_tell, tales) = cx.local.tales.split();
         let (to_radio, frames) = cx.local.frames.split();
+        let reset = crash.map_or((Reset::PowerOn, 0), |crash| (crash.reset(), crash.at));
         let header = Header { pan: PAN, mote: MOTE, sequence: 0 };
         (
-            Shared { capture, classify: Classify::new(pulses, to_solve), radio: Radio::new(frames) },
-            Local { solve: Solve::new(sightings, to_radio, header) },
+            Shared { capture, classify: Classify::new(pulses, to_solve, to_tell), radio: Radio::new(frames) },
+            Local { solve: Solve::new(sightings, tales, Frames::new(to_radio, header), reset) },
         )
     }
 
@@ -102,10 +106,10 @@ mod app {
     }
 
     #[task(binds = SOFT10, priority = 3, shared = [classify])]
-    fn expire(cx: expire::Context) {
-        if cx.shared.classify.expire(&CONFIG, rf_timer::now()) {
-            rtic::pend(Interrupt::SOFT5);
-        }
+    fn second(cx: second::Context) {
+        cx.shared.classify.second(&CONFIG, rf_timer::now());
+        rf_timer::arm(Alarm::Second, cx.shared.classify.second_in_ticks().unwrap_or(SECOND));
+        rtic::pend(Interrupt::SOFT5);
     }
 
     #[task(binds = SOFT5, priority = 1, local = [solve])]
@@ -127,8 +131,7 @@ mod app {
     #[task(binds = RFTIMER, priority = 2, shared = [radio])]
     fn alarm(cx: alarm::Context) {
         let rung = rf_timer::take();
-        if rung.is(Alarm::Heartbeat) {
-            rf_timer::arm(Alarm::Heartbeat, HEARTBEAT);
+        if rung.is(Alarm::Second) {
             rtic::pend(Interrupt::SOFT10);
         }
         if rung.is(Alarm::Radio) {

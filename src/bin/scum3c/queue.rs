@@ -55,6 +55,11 @@ impl<T: Copy, const N: usize> Queue<T, N> {
     }
 
     #[inline(always)]
+    fn waiting(&self) -> u8 {
+        self.written.load(Ordering::Relaxed).wrapping_sub(self.read.load(Ordering::Relaxed)) as u8
+    }
+
+    #[inline(always)]
     fn entry(&self, count: u32) -> *mut MaybeUninit<T> {
         // SAFETY: the remainder is below `N`.
         unsafe { self.entries.get().cast::<MaybeUninit<T>>().add(count as usize % N) }
@@ -62,6 +67,12 @@ impl<T: Copy, const N: usize> Queue<T, N> {
 }
 
 impl<T: Copy, const N: usize> Writer<T, N> {
+    /// Entries that wait.
+    #[inline(always)]
+    pub fn waiting(&self) -> u8 {
+        self.0.waiting()
+    }
+
     /// Appends `entry`; false where there is no room for it.
     #[inline(always)]
     #[must_use]
@@ -99,6 +110,12 @@ impl<T: Copy, const N: usize> Writer<T, N> {
 }
 
 impl<T: Copy, const N: usize> Reader<T, N> {
+    /// Entries that wait.
+    #[inline(always)]
+    pub fn waiting(&self) -> u8 {
+        self.0.waiting()
+    }
+
     /// The oldest entry.
     #[inline(always)]
     pub fn oldest(&self) -> Option<&T> {

@@ -12,7 +12,7 @@
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 
-use lighthouse_mote::frame::{self, Aligned};
+use lighthouse_mote::frame::Aligned;
 use lighthouse_mote::time::Span;
 
 use crate::pac::{analog, rf};
@@ -143,8 +143,8 @@ fn load(frame: &Aligned) {
     analog::REG16.write(RECEIVER_OFF);
     // The controller reads the frame behind the compiler's back.
     fence(Ordering::SeqCst);
-    rf::TX_DATA_ADDR.write(frame.0.as_ptr().expose_provenance() as u32);
-    rf::TX_PACK_LEN.write(frame::LEN as u32);
+    rf::TX_DATA_ADDR.write(frame.bytes().as_ptr().expose_provenance() as u32);
+    rf::TX_PACK_LEN.write(frame.bytes().len() as u32);
     rf::CONTROL.write(rf::TX_LOAD);
     let (most, last) = const { Channel::DEFAULT.registers() };
     analog::REG7.write(most);

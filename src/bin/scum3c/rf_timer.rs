@@ -10,14 +10,14 @@ use lighthouse_mote::time::{Span, Ticks};
 
 use crate::pac::rftimer;
 
-/// How often the classifier is told that time passes: 2^26 ticks, 6.7 s at 10 MHz, a sixteenth of a wrap.
-pub const HEARTBEAT: Span = Span(1 << 26);
+/// A second by the nominal clock, 10 MHz: how often the classifier is told that time passes, until light tells better.
+pub const SECOND: Span = Span(10_000_000);
 
 /// The two alarms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Alarm {
-    /// Compare 0: time passes.
-    Heartbeat = 0,
+    /// Compare 0: a second has passed.
+    Second = 0,
     /// Compare 1: the radio has settled, or takes too long.
     Radio = 1,
 }
@@ -51,7 +51,7 @@ pub fn arm(alarm: Alarm, span: Span) {
     let at = now().after(span).0;
     let on = rftimer::COMPARE_ENABLE | rftimer::COMPARE_INTERRUPT;
     match alarm {
-        Alarm::Heartbeat => {
+        Alarm::Second => {
             rftimer::COMPARE0.write(at);
             rftimer::COMPARE0_CONTROL.write(on);
         }
@@ -65,7 +65,7 @@ pub fn arm(alarm: Alarm, span: Span) {
 /// Lets `alarm` rest.
 pub fn disarm(alarm: Alarm) {
     match alarm {
-        Alarm::Heartbeat => rftimer::COMPARE0_CONTROL.write(0),
+        Alarm::Second => rftimer::COMPARE0_CONTROL.write(0),
         Alarm::Radio => rftimer::COMPARE1_CONTROL.write(0),
     }
     rftimer::INT_CLEAR.write(1 << alarm as u32);

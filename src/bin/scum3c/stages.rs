@@ -6,9 +6,10 @@
 
 use core::sync::atomic::{AtomicU16, Ordering};
 
-use lighthouse_mote::chain::{Classifier, Config, Seen, Sighting, Solver};
-use lighthouse_mote::frame::{self, Aligned, Header, Report};
-use lighthouse_mote::time::Ticks;
+use lighthouse_mote::chain::{Batch, Classifier, Config, Estimate, Seen, Sighting, Solver, Understood};
+use lighthouse_mote::frame::{self, Aligned, Header, Report, Reset};
+use lighthouse_mote::sweep::HalfTurn;
+use lighthouse_mote::time::{Span, Ticks};
 
 use crate::capture;
 use crate::queue::{Queue, Reader, Writer};
@@ -22,18 +23,39 @@ pub type Sightings = Queue<Sighting, SIGHTINGS>;
 /// Sightings dropped because the queue was full. Written by [`Classify`] alone.
 static LOST: AtomicU16 = AtomicU16::new(0);
 
+/// What the first stage tells of itself, once a second.
+#[derive(Debug, Clone, Copy)]
+pub struct Told {
+    understood: Understood,
+    /// Seconds since start-up.
+    uptime: u32,
+    /// The most pulses that ever waited.
+    pulses_waiting: u8,
+}
+
+/// Room for what was told: it is read before there is more.
+const TOLD: usize = 2;
+/// The memory for it.
+pub type Tales = Queue<Told, TOLD>;
+
+/// Half turns in a second: two per turn of a 60 Hz rotor.
+const HALF_TURNS_PER_S: u32 = 120;
+
 /// The first stage.
 pub struct Classify {
     classifier: Classifier,
     pulses: capture::Reader,
     sightings: Writer<Sighting, SIGHTINGS>,
     owed: Option<Sighting>,
+    tales: Writer<Told, TOLD>,
+    uptime: u32,
+    pulses_waiting: u8,
 }
 
 impl Classify {
-    /// Reads `pulses`, writes `sightings`.
-    pub fn new(pulses: capture::Reader, sightings: Writer<Sighting, SIGHTINGS>) -> Self {
-        Self { classifier: Classifier::default(), pulses, sightings, owed: None }
+    /// Reads `pulses`, writes `sightings` and `tales`.
+    pub fn new(pulses: capture::Reader, sightings: Writer<Sighting, SIGHTINGS>, tales: Writer<Told, TOLD>) -> Self {
+        Self { classifier: Classifier::default(), pulses, sightings, owed: None, tales, uptime: 0, pulses_waiting: 0 }
     }
 
     /// Takes the oldest pulse.
@@ -42,6 +64,7 @@ impl Classify {
     /// rare second call.
     #[inline(always)]
     pub fn run(&mut self, config: &Config) -> Done {
+        self.pulses_waiting = self.pulses_waiting.max(self.pulses.waiting());
         let passed_on = match self.pulses.next() {
             Some(pulse) => match self.classifier.pulse(config, pulse) {
                 Some(sighting) => self.pass_on(sighting),
@@ -52,13 +75,24 @@ impl Classify {
         Done { passed_on, more: !self.pulses.is_empty() }
     }
 
-    /// Notices a long darkness at `now`; true when the solver has something to do. Where a pulse waits there is none.
-    pub fn expire(&mut self, config: &Config, now: Ticks) -> bool {
-        if !self.pulses.is_empty() {
-            return false;
+    /// A second has passed: notices a long darkness at `now`, and tells how the light is understood.
+    pub fn second(&mut self, config: &Config, now: Ticks) {
+        self.uptime = self.uptime.wrapping_add(1);
+        // Where a pulse waits, it is not dark.
+        if self.pulses.is_empty()
+            && let Some(sighting) = self.classifier.expire(config, now)
+        {
+            self.pass_on(sighting);
         }
-        let Some(sighting) = self.classifier.expire(config, now) else { return false };
-        self.pass_on(sighting)
+        let understood = self.classifier.understood(now);
+        // Dropped where the second stage did not get to the one before: the next one says the same.
+        let _ = self.tales.push(Told { understood, uptime: self.uptime, pulses_waiting: self.pulses_waiting });
+    }
+
+    /// A second by the rotors, while they are seen.
+    pub fn second_in_ticks(&self) -> Option<Span> {
+        let ticks = |half_turn: HalfTurn| Span(half_turn.span().0.saturating_mul(HALF_TURNS_PER_S));
+        self.classifier.half_turn().map(ticks)
     }
 
     #[inline(always)]
@@ -99,36 +133,113 @@ pub struct Done {
 /// The second stage.
 pub struct Solve {
     solver: Solver,
+    batch: Batch,
     sightings: Reader<Sighting, SIGHTINGS>,
-    frames: Writer<Aligned, { radio::FRAMES }>,
-    header: Header,
-    reports_lost: u16,
+    tales: Reader<Told, TOLD>,
+    frames: Frames,
+    sightings_waiting: u8,
+    /// Why the mote started, and where it was then.
+    reset: (Reset, u32),
 }
 
 impl Solve {
-    /// Reads `sightings`, writes `frames` as `header` says, its sequence the first.
+    /// Reads `sightings` and `tales`, writes `frames`; `reset` goes into every health frame.
     pub fn new(
         sightings: Reader<Sighting, SIGHTINGS>,
-        frames: Writer<Aligned, { radio::FRAMES }>,
-        header: Header,
+        tales: Reader<Told, TOLD>,
+        frames: Frames,
+        reset: (Reset, u32),
     ) -> Self {
-        Self { solver: Solver::default(), sightings, frames, header, reports_lost: 0 }
+        Self {
+            solver: Solver::default(),
+            batch: Batch::default(),
+            sightings,
+            tales,
+            frames,
+            sightings_waiting: 0,
+            reset,
+        }
     }
 
-    /// Takes the oldest sighting; one at a time as [`Classify::run`].
+    /// Takes the oldest sighting, or what was told where there is none; one at a time as [`Classify::run`].
     #[inline(always)]
     pub fn run(&mut self, config: &Config) -> Done {
-        let Some(&sighting) = self.sightings.oldest() else { return Done { passed_on: false, more: false } };
+        let Some(&sighting) = self.sightings.oldest() else {
+            let passed_on = self.is_free_to_tell() && self.tell(config);
+            return Done { passed_on, more: false };
+        };
+        self.sightings_waiting = self.sightings_waiting.max(self.sightings.waiting());
         if sighting.seen == Seen::Lost {
             defmt::warn!("light lost; edges {=u16}, pulses {=u16}", sighting.edges_lost, sighting.pulses_lost);
         }
         let report = self.solver.step(config, sighting);
         self.sightings.pop();
         let passed_on = match report {
-            Some(report) => self.send(report),
+            Some(report) => {
+                let sent = self.frames.send(report);
+                // Behind a report there is the longest silence on the air.
+                sent | self.tell(config)
+            }
+            None if config.estimate == Estimate::Angles => match self.batch.step(&sighting) {
+                Some(angles) => self.frames.put(|frame, header| {
+                    frame::emit_angles_into(frame, header, &angles);
+                }),
+                None => false,
+            },
             None => false,
         };
-        Done { passed_on, more: self.sightings.oldest().is_some() }
+        Done { passed_on, more: self.sightings.oldest().is_some() || self.is_free_to_tell() }
+    }
+
+    /// Whether to tell without waiting for a report: none is to be expected, or none has come for a second.
+    #[inline(always)]
+    fn is_free_to_tell(&self) -> bool {
+        self.tales.oldest().is_some_and(|told| !told.understood.is_locked() || self.tales.waiting() > 1)
+    }
+
+    /// Makes a frame of what the first stage told; whether it did.
+    #[inline(never)]
+    fn tell(&mut self, config: &Config) -> bool {
+        let Some(told) = self.tales.oldest() else { return false };
+        let mut health = self.solver.health(config, &told.understood);
+        health.uptime = told.uptime;
+        (health.reset, health.reset_detail) = self.reset;
+        health.waiting = [told.pulses_waiting, self.sightings_waiting, self.frames.waiting];
+        health.rejects.edges = health.rejects.edges.wrapping_add(capture::lost());
+        health.rejects.reports = self.frames.lost();
+        self.tales.pop();
+        self.frames.put(|frame, header| frame::emit_health_into(frame, header, &health))
+    }
+}
+
+/// The way onto the air: frames made where the radio sends them from.
+pub struct Frames {
+    queue: Writer<Aligned, { radio::FRAMES }>,
+    header: Header,
+    lost: u16,
+    /// The most that ever waited.
+    waiting: u8,
+}
+
+impl Frames {
+    /// Writes `queue` as `header` says, its sequence the first.
+    pub const fn new(queue: Writer<Aligned, { radio::FRAMES }>, header: Header) -> Self {
+        Self { queue, header, lost: 0, waiting: 0 }
+    }
+
+    /// Frames that there was no room for, or that the radio gave up, wrapping.
+    fn lost(&self) -> u16 {
+        self.lost.wrapping_add(radio::lost())
+    }
+
+    /// Has a frame made; whether there was room for it.
+    #[inline(always)]
+    fn put(&mut self, emit: impl FnOnce(&mut Aligned, Header)) -> bool {
+        let sent = self.queue.fill(|frame| emit(frame, self.header));
+        let count = if sent { &mut self.header.sequence } else { &mut self.lost };
+        *count = count.wrapping_add(1);
+        self.waiting = self.waiting.max(self.queue.waiting());
+        sent
     }
 
     /// Makes a frame of a report; whether there was room for it.
@@ -137,10 +248,7 @@ impl Solve {
         let losses = &mut report.losses;
         losses.edges = losses.edges.wrapping_add(capture::lost());
         losses.sweeps = losses.sweeps.wrapping_add(LOST.load(Ordering::Relaxed));
-        losses.reports = self.reports_lost.wrapping_add(radio::lost());
-        let sent = self.frames.fill(|frame| frame::emit_into(frame, self.header, &report));
-        let count = if sent { &mut self.header.sequence } else { &mut self.reports_lost };
-        *count = count.wrapping_add(1);
-        sent
+        losses.reports = self.lost();
+        self.put(|frame, header| frame::emit_into(frame, header, &report))
     }
 }

@@ -89,6 +89,7 @@ pub fn usual_mote() -> toml::Table {
     let estimate = match usual.estimate {
         Estimate::Track => "track",
         Estimate::Fix => "fix",
+        Estimate::Angles => "angles",
     };
     let mut mote = toml::Table::new();
     mote.insert("id".to_string(), i64::from(usual.id).into());

@@ -41,5 +41,6 @@ mod on_target {
 #[path = "../tests/host"]
 mod on_host {
     mod direction;
+    mod nrf52840;
     mod properties;
 }

@@ -1,6 +1,6 @@
 //! The nRF52840's board, as far as it is arithmetic: everything above its registers, on this computer.
 
-use std::collections::HashSet;
+use std::collections::{HashSet, VecDeque};
 
 use proptest::prelude::*;
 
@@ -27,6 +27,9 @@ use pairing::{Pairing, Sample};
 use progress::Progress;
 use psdu::{Channel, MAX_PSDU, Psdu};
 use ts4231::{Drive, Failure, State, WORD, Wires};
+
+/// 20 symbols of 16 us (IEEE 802.15.4-2006, 7.4.1).
+const PERIOD_US: u32 = 320;
 
 /// A change of the light, and what becomes of it on its way.
 #[derive(Debug, Clone, Copy)]
@@ -218,11 +221,11 @@ proptest! {
         let mut csma = Csma::new(seed);
         for _ in 0..3 {
             let first = csma.begin();
-            prop_assert!(first < 8);
+            prop_assert!(first < 8 * PERIOD_US && first.is_multiple_of(PERIOD_US));
             let later: Vec<u32> = std::iter::from_fn(|| csma.again()).collect();
             prop_assert_eq!(later.len(), 4);
             for (wait, bound) in later.into_iter().zip([16, 32, 32, 32]) {
-                prop_assert!(wait < bound);
+                prop_assert!(wait < bound * PERIOD_US && wait.is_multiple_of(PERIOD_US));
             }
         }
     }
@@ -306,7 +309,7 @@ fn motes_with_different_numbers_do_not_wait_alike() {
     assert_eq!(all.len(), 64);
     let mut counts = [0u32; 8];
     for wait in (0..2_000).flat_map(waits) {
-        counts[wait as usize] += 1;
+        counts[(wait / PERIOD_US) as usize] += 1;
     }
     // 64,000 throws of an 8-sided die: 8,000 each, standard deviation 84.
     assert!(counts.iter().all(|count| count.abs_diff(8_000) < 500), "{counts:?}");
@@ -382,7 +385,7 @@ impl Ts4231 {
             Mode::Fresh { .. } => (false, self.lit()),
             Mode::Open | Mode::Leaving => (true, true),
             Mode::Transfer { .. } => (true, self.says.unwrap_or(true)),
-            Mode::Watching => (!self.lit(), self.lit() && self.us % 2 == 0),
+            Mode::Watching => (!self.lit(), self.lit() && self.us.is_multiple_of(2)),
         };
         (Self::level(self.e, e), Self::level(self.d, d))
     }
@@ -479,20 +482,20 @@ fn wires_that_lead_nowhere_are_said_not_to_open() {
 
 #[test]
 fn one_look_spoilt_by_light_does_not_change_what_is_seen() {
-    struct Looks(std::vec::IntoIter<(bool, bool)>);
+    struct Looks(VecDeque<(bool, bool)>);
     impl Wires for Looks {
         fn e(&mut self, _: Drive) {}
         fn d(&mut self, _: Drive) {}
         fn levels(&mut self) -> (bool, bool) {
-            self.0.next().unwrap()
+            self.0.pop_front().unwrap()
         }
         fn wait_us(&mut self, _: u32) {}
     }
     let watching = (true, false);
     let lit = (false, true);
     for looks in [[lit, watching, watching], [watching, lit, watching], [watching, watching, lit]] {
-        assert_eq!(ts4231::state(&mut Looks(looks.to_vec().into_iter())), State::Watching);
+        assert_eq!(ts4231::state(&mut Looks(looks.into_iter().collect())), State::Watching);
     }
     let mixed = vec![watching, lit, (true, true)];
-    assert_eq!(ts4231::state(&mut Looks(mixed.into_iter())), State::Unclear);
+    assert_eq!(ts4231::state(&mut Looks(mixed.into())), State::Unclear);
 }

@@ -35,13 +35,7 @@ impl Psdu {
         true
     }
 
-    /// Where it lies.
-    pub const fn as_ptr(&self) -> *const u8 {
-        self.0.as_ptr()
-    }
-
     /// The bytes, length first.
-    #[cfg(test)]
     pub const fn bytes(&self) -> &[u8] {
         &self.0
     }

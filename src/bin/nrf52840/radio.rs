@@ -26,7 +26,7 @@ use nrf_pac::{FICR, RADIO};
 
 use crate::board::CHANNEL;
 use crate::clock::{self, Alarm, TICKS_PER_US};
-use crate::csma::{Csma, PERIOD_US};
+use crate::csma::Csma;
 use crate::psdu::{MAX_PSDU, Psdu};
 
 /// Both ramps are at most 0.14 ms each, assessment 0.128 ms (PS 6.20.15.8, 6.20.12.4), and the longest frame is 133
@@ -106,16 +106,16 @@ impl Radio {
         if !self.psdu.load(&frame) {
             return self.give_up();
         }
-        let periods = self.csma.begin();
-        self.wait(periods);
+        let us = self.csma.begin();
+        self.wait(us);
     }
 
-    fn wait(&mut self, periods: u32) {
+    fn wait(&mut self, us: u32) {
         self.state = State::Waiting;
-        if periods == 0 {
+        if us == 0 {
             self.attempt();
         } else {
-            clock::arm(Alarm::Radio, Span(periods * PERIOD_US * TICKS_PER_US));
+            clock::arm(Alarm::Radio, Span(us * TICKS_PER_US));
         }
     }
 
@@ -127,7 +127,7 @@ impl Radio {
         RADIO.events_disabled().write_value(0);
         // The radio reads the frame behind the compiler's back; it lies in RAM, as EasyDMA wants (PS 4.6).
         fence(Ordering::SeqCst);
-        RADIO.packetptr().write_value(self.psdu.as_ptr().expose_provenance() as u32);
+        RADIO.packetptr().write_value(self.psdu.bytes().as_ptr().expose_provenance() as u32);
         clock::arm(Alarm::Radio, PATIENCE);
         RADIO.tasks_rxen().write_value(1);
     }
@@ -137,8 +137,8 @@ impl Radio {
         clock::disarm(Alarm::Radio);
         if RADIO.events_phyend().read() != 0 {
             self.state = State::Off;
-        } else if let Some(periods) = self.csma.again() {
-            self.wait(periods);
+        } else if let Some(us) = self.csma.again() {
+            self.wait(us);
         } else {
             self.give_up();
         }

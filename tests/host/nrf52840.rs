@@ -5,7 +5,9 @@ use std::collections::{HashSet, VecDeque};
 use proptest::prelude::*;
 
 use crate::frame::{self, Header, LEN, Report, emit};
+use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT, Truth};
 use crate::pulse::Pulse;
+use crate::sweep::{self, Light};
 use crate::time::{Span, Ticks};
 
 #[path = "../../src/bin/nrf52840/cause.rs"]
@@ -261,6 +263,38 @@ proptest! {
         prop_assert_eq!(chip.word, WORD);
         prop_assert_eq!((chip.e, chip.d), (Drive::Released, Drive::Released));
     }
+}
+
+#[test]
+fn light_at_sixteen_megahertz_is_understood_from_stamps_and_counts() {
+    // The counter wraps in slot 7. 20 slots are enough to find the cycle; after them every slot has its sweep.
+    let cycle = Cycle { clock: 16_000_000, start: u32::MAX - 1_000_000, ..Cycle::TYPICAL };
+    let mut pairing = Pairing::default();
+    let mut state = sweep::State::default();
+    let mut sample = Sample { rises: 0, falls: 0, rise: Ticks(0), fall: Ticks(0) };
+    let mut sweeps = 0;
+    for (index, (truth, pulse)) in cycle.pulses(0, 60).enumerate() {
+        sample.rises += 1;
+        sample.falls += 1;
+        sample.rise = pulse.start;
+        sample.fall = pulse.start.after(pulse.width);
+        let light = sweep::step(&sweep::Config::DEFAULT, &mut state, pairing.take(sample).unwrap());
+        if index < 20 * PULSES_PER_SLOT as usize {
+            continue;
+        }
+        match (light, truth) {
+            (Some(Light::Sweep(sweep)), Truth::Sweep(station, axis)) => {
+                assert_eq!((sweep.station, sweep.axis), (station, axis));
+                let after = cycle.span(cycle.sweep_after[station as usize][axis as usize].into());
+                // Four instants, each rounded down to a tick.
+                assert!(sweep.since_sync.0.abs_diff(after.0) <= 2, "{:?}, not {after:?}", sweep.since_sync);
+                sweeps += 1;
+            }
+            (Some(Light::Sync(sync)), Truth::Sync(truth)) => assert_eq!(sync, truth),
+            other => panic!("{other:?} at pulse {index}"),
+        }
+    }
+    assert_eq!(sweeps, 40);
 }
 
 /// What a receiver hears of a PSDU in memory: the radio of the product specification as a shift register.

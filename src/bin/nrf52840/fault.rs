@@ -1,6 +1,7 @@
 //! What is left of a crash: a breadcrumb in memory that no start-up clears, and a reset.
 //!
-//! A mote in the field has nobody watching; it starts again and says at the next boot what happened.
+//! A mote in the field has nobody watching; it starts again and says at the next boot what happened. [`Boot`] is kept
+//! as long as the mote runs, for whoever comes to ask.
 //!
 //! What can go wrong: after power-on the breadcrumb is noise, which the magic word tells apart. No reset clears RAM (PS
 //! 5.3), but one by power dip or watchdog may leave it damaged.
@@ -9,6 +10,8 @@ use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m_rt::{ExceptionFrame, exception};
+
+use crate::cause::Cause;
 
 /// Says that the words beside it were written by [`reset`] and not by power-on.
 const MAGIC: u32 = 0x4c69_6768;
@@ -33,6 +36,15 @@ pub struct Crash {
     pub at: u32,
 }
 
+/// How this run began.
+#[derive(Debug, Clone, Copy, defmt::Format)]
+pub struct Boot {
+    /// What started the chip.
+    pub cause: Cause,
+    /// The crash before, if there was one.
+    pub crash: Option<Crash>,
+}
+
 struct Crumb {
     magic: AtomicU32,
     count: AtomicU32,
@@ -45,20 +57,18 @@ struct Crumb {
 static CRUMB: Crumb =
     Crumb { magic: AtomicU32::new(0), count: AtomicU32::new(0), kind: AtomicU32::new(0), at: AtomicU32::new(0) };
 
-/// The crash before this boot, if there was one. `kept`: memory was, since the power did not go.
-pub fn last(kept: bool) -> Option<Crash> {
+/// Reads what the last run left; to be called once.
+pub fn boot(cause: Cause) -> Boot {
     let written = CRUMB.magic.swap(0, Ordering::Relaxed) == MAGIC;
-    if !kept || !written {
-        if !kept {
-            CRUMB.count.store(0, Ordering::Relaxed);
-        }
-        return None;
+    if cause == Cause::Power {
+        CRUMB.count.store(0, Ordering::Relaxed);
     }
-    Some(Crash {
+    let crash = (written && cause != Cause::Power).then(|| Crash {
         count: CRUMB.count.load(Ordering::Relaxed),
         kind: CRUMB.kind.load(Ordering::Relaxed),
         at: CRUMB.at.load(Ordering::Relaxed),
-    })
+    });
+    Boot { cause, crash }
 }
 
 /// Leaves the breadcrumb.

@@ -49,13 +49,13 @@ mod app {
 
     use crate::calib::{CONFIG, MOTE, PAN};
     use crate::capture::{self, Capture, Pulses};
-    use crate::cause::Cause;
     use crate::clock::{self, Alarm, HEARTBEAT};
+    use crate::fault::{self, Boot};
     use crate::psdu::Psdu;
     use crate::radio::Radio;
     use crate::stages::{Classify, Reports, Sightings, Solve};
     use crate::watchdog::{self, Stage, Watchdog};
-    use crate::{bring_up, fault, receiver};
+    use crate::{bring_up, receiver};
 
     #[shared]
     struct Shared {
@@ -70,6 +70,7 @@ mod app {
         capture: Capture,
         solve: Solve,
         watchdog: Watchdog,
+        boot: Boot,
     }
 
     #[init(local = [
@@ -80,13 +81,12 @@ mod app {
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let watchdog = watchdog::start();
-        let cause = bring_up::cause();
+        let boot = fault::boot(bring_up::cause());
         bring_up::debugger();
         bring_up::crystal();
         clock::start();
         clock::arm(Alarm::Heartbeat, HEARTBEAT);
-        let crash = fault::last(cause != Cause::Power);
-        defmt::info!("lighthouse mote {=u16:#06x}, started by {}, last crash {}", MOTE, cause, crash);
+        defmt::info!("lighthouse mote {=u16:#06x}, started by {}", MOTE, boot);
 
         let (capture, pulses) = capture::split(cx.local.pulses);
         let (to_solve, sightings) = cx.local.sightings.split();
@@ -94,7 +94,7 @@ mod app {
         let header = Header { pan: PAN, mote: MOTE, sequence: 0 };
         (
             Shared { classify: Classify::new(pulses, to_solve), radio: Radio::new(reports, cx.local.psdu, header) },
-            Local { capture, solve: Solve::new(sightings, to_radio), watchdog },
+            Local { capture, solve: Solve::new(sightings, to_radio), watchdog, boot },
         )
     }
 
@@ -151,11 +151,12 @@ mod app {
         }
     }
 
-    #[idle]
-    fn idle(_: idle::Context) -> ! {
+    #[idle(local = [boot])]
+    fn idle(cx: idle::Context) -> ! {
         receiver::ready();
         capture::listen();
-        defmt::info!("watching");
+        // Once more: a receiver may take its time, and a reader of the log too.
+        defmt::info!("watching; started by {}", cx.local.boot);
         loop {
             cortex_m::asm::wfi();
         }

@@ -13,6 +13,9 @@
 //! do not reach it. They only delay the handler, and that has until the next rise, 300 us or more in Lighthouse light,
 //! before anything is overwritten.
 //!
+//! Nobody clears the event of the light's coming on: an event register that is set already stops no later event on its
+//! way to the PPI (PS 6.1).
+//!
 //! A pin has one channel of GPIOTE at most (PS 6.10), and one channel that reports both edges could not say which it
 //! was after two; hence the receiver's output comes to two pins.
 //!

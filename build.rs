@@ -77,6 +77,8 @@ const BOARDS: &[Board] = &[
         ram: 64 * 1024,
         device: Some("src/bin/scum3c"),
     },
+    // The whole chip: no boot loader, no SoftDevice (PS 4.2). Its peripheral access crate brings `device.x`.
+    Board { feature: "nrf52840", unit: Unit::Bin("nrf52840"), flash: 1024 * 1024, ram: 256 * 1024, device: None },
     // nRF51822 as in QEMU's `microbit`.
     Board { feature: "qemu", unit: Unit::Tests, flash: 256 * 1024, ram: 16 * 1024, device: None },
     Board { feature: "bench", unit: Unit::Bin("bench"), flash: 256 * 1024, ram: 16 * 1024, device: None },

@@ -44,6 +44,7 @@ mod on_target {
 #[path = "../tests/host"]
 mod on_host {
     mod direction;
+    mod nrf52840;
     mod ootx;
     mod properties;
     mod recordings;

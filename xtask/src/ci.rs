@@ -1,7 +1,7 @@
 //! All that a change has to pass.
 //!
 //! What can go wrong: lints that the computer never sees. A board's binary compiles for its own processor only, so
-//! each board is linted by itself, with its own feature.
+//! each board is linted by itself, with its own feature. The nRF52840's image is linked too: no other check runs it.
 
 use anyhow::Result;
 
@@ -20,8 +20,9 @@ struct Board {
     what: &'static [&'static str],
 }
 
-const BOARDS: [Board; 3] = [
+const BOARDS: [Board; 4] = [
     Board { feature: "scum3c", target: setup::CORTEX_M0, what: &["--lib", "--bins"] },
+    Board { feature: "nrf52840", target: setup::CORTEX_M4F, what: &["--lib", "--bin", "nrf52840"] },
     Board { feature: "bench", target: setup::CORTEX_M0, what: &["--bin", "bench"] },
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
@@ -36,6 +37,10 @@ pub(crate) fn ci() -> Result<()> {
     for board in &BOARDS {
         tally.check(&format!("lints for {}", board.feature), || lint(board));
     }
+    tally.check("the image for nrf52840", || {
+        let arguments = ["build", "--release", "--bin", "nrf52840", "--features", "nrf52840", "--target"];
+        run(cargo(&arguments).arg(setup::CORTEX_M4F))
+    });
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));

@@ -1,0 +1,535 @@
+//! The nRF52840's board, as far as it is arithmetic: everything above its registers, on this computer.
+
+use std::collections::{HashSet, VecDeque};
+
+use proptest::prelude::*;
+
+use crate::frame::{self, Header, LEN, Report, emit};
+use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT, Truth};
+use crate::pulse::Pulse;
+use crate::sweep::{self, Light};
+use crate::time::{Span, Ticks};
+
+#[path = "../../src/bin/nrf52840/cause.rs"]
+mod cause;
+#[path = "../../src/bin/nrf52840/csma.rs"]
+mod csma;
+#[path = "../../src/bin/nrf52840/pairing.rs"]
+mod pairing;
+#[path = "../../src/bin/nrf52840/progress.rs"]
+mod progress;
+#[path = "../../src/bin/nrf52840/psdu.rs"]
+mod psdu;
+#[path = "../../src/bin/nrf52840/ts4231.rs"]
+mod ts4231;
+
+use cause::Cause;
+use csma::Csma;
+use pairing::{Pairing, Sample};
+use progress::Progress;
+use psdu::{Channel, MAX_PSDU, Psdu};
+use ts4231::{Drive, Failure, State, WORD, Wires};
+
+/// 20 symbols of 16 us (IEEE 802.15.4-2006, 7.4.1).
+const PERIOD_US: u32 = 320;
+
+/// A change of the light, and what becomes of it on its way.
+#[derive(Debug, Clone, Copy)]
+struct Change {
+    /// Ticks since the change before.
+    after: u32,
+    /// The hardware sees it.
+    seen: bool,
+    /// The handler has run before the next change.
+    fetched: bool,
+}
+
+/// Light as the hardware and the handler see it: what pairing gave, and what there was to give.
+struct Outcome {
+    given: Vec<Pulse>,
+    /// Rise and fall of every pulse of the light.
+    real: Vec<Pulse>,
+    /// Edges the hardware saw.
+    seen: u32,
+    lost: u16,
+}
+
+/// Plays changes, rises and falls in turn, into counters and stamps as GPIOTE, PPI and TIMER keep them.
+fn play(start: Ticks, changes: &[Change]) -> Outcome {
+    let mut pairing = Pairing::default();
+    let mut sample = Sample { rises: 0, falls: 0, rise: Ticks(0), fall: Ticks(0) };
+    let mut outcome = Outcome { given: Vec::new(), real: Vec::new(), seen: 0, lost: 0 };
+    let mut at = start;
+    let mut rise = at;
+    let mut owed = false;
+    for (index, change) in changes.iter().enumerate() {
+        at = at.after(Span(change.after));
+        let lit = index % 2 == 0;
+        if lit {
+            rise = at;
+        } else {
+            outcome.real.push(Pulse { start: rise, width: at.since(rise) });
+        }
+        if change.seen {
+            outcome.seen += 1;
+            if lit {
+                sample.rises += 1;
+                sample.rise = at;
+            } else {
+                sample.falls += 1;
+                sample.fall = at;
+                owed = true;
+            }
+        }
+        // The interrupt is asked for by a fall, and comes when it can.
+        if owed && (change.fetched || index + 1 == changes.len()) {
+            owed = false;
+            outcome.given.extend(pairing.take(sample));
+        }
+    }
+    outcome.lost = pairing.lost();
+    outcome
+}
+
+/// Changes with the spacing of Lighthouse light and of trouble.
+fn changes(
+    seen: impl Strategy<Value = bool> + 'static,
+    fetched: impl Strategy<Value = bool> + 'static,
+) -> BoxedStrategy<Vec<Change>> {
+    let after = prop_oneof![1..50u32, 24..3_000u32, 4_800..150_000u32];
+    let change = (after, seen, fetched).prop_map(|(after, seen, fetched)| Change { after, seen, fetched });
+    prop::collection::vec(change, 0..120).boxed()
+}
+
+proptest! {
+    #[test]
+    fn every_pulse_is_given_when_the_handler_keeps_up(start: u32, changes in changes(Just(true), Just(true))) {
+        let outcome = play(Ticks(start), &changes);
+        prop_assert_eq!(outcome.given, outcome.real);
+        prop_assert_eq!(outcome.lost, 0);
+    }
+
+    #[test]
+    fn a_late_handler_costs_pulses_and_never_makes_one_up(
+        start: u32,
+        changes in changes(Just(true), any::<bool>()),
+    ) {
+        let outcome = play(Ticks(start), &changes);
+        let real: HashSet<(u32, u32)> = outcome.real.iter().map(|pulse| (pulse.start.0, pulse.width.0)).collect();
+        for pulse in &outcome.given {
+            prop_assert!(real.contains(&(pulse.start.0, pulse.width.0)), "{pulse:?} was no pulse");
+        }
+    }
+
+    #[test]
+    fn a_handler_within_the_dark_after_each_pulse_gives_every_pulse(
+        start: u32,
+        pulses in prop::collection::vec((24..2_200u32, 4_800..150_000u32), 0..60),
+    ) {
+        // Both edges of each pulse come before the handler: it is never there between a rise and its fall.
+        let changes: Vec<Change> = pulses
+            .iter()
+            .flat_map(|&(width, dark)| {
+                [
+                    Change { after: dark, seen: true, fetched: false },
+                    Change { after: width, seen: true, fetched: true },
+                ]
+            })
+            .collect();
+        let outcome = play(Ticks(start), &changes);
+        prop_assert_eq!(outcome.given, outcome.real);
+    }
+
+    #[test]
+    fn every_edge_seen_is_in_a_pulse_or_lost_or_waiting(
+        start: u32,
+        changes in changes(any::<bool>(), any::<bool>()),
+    ) {
+        let outcome = play(Ticks(start), &changes);
+        let kept = outcome.seen - 2 * outcome.given.len() as u32 - u32::from(outcome.lost);
+        // After the last fall nothing is fetched any more; one rise at least is kept for the fall that may come.
+        let trailing = changes.iter().enumerate().rev().take_while(|(index, change)| index % 2 == 0 || !change.seen);
+        let rises = trailing.filter(|(_, change)| change.seen).count() as u32;
+        prop_assert!((rises.min(1)..=rises).contains(&kept), "{kept} kept of {rises}");
+    }
+
+    #[test]
+    fn an_edge_the_hardware_misses_costs_only_its_own_pulse_when_the_handler_keeps_up(
+        start: u32,
+        pulses in 2..40usize,
+        missed: prop::sample::Index,
+    ) {
+        let missed = missed.index(2 * pulses - 1);
+        let changes: Vec<Change> = (0..2 * pulses)
+            .map(|index| Change { after: if index % 2 == 0 { 5_000 } else { 1_000 }, seen: index != missed, fetched: true })
+            .collect();
+        let outcome = play(Ticks(start), &changes);
+        let mut kept = outcome.real.clone();
+        kept.remove(missed / 2);
+        prop_assert_eq!(outcome.given, kept);
+        prop_assert_eq!(outcome.lost, 1);
+    }
+
+    #[test]
+    fn counters_that_wrap_change_nothing(changes in changes(any::<bool>(), any::<bool>()), rises: u32, falls: u32) {
+        prop_assume!(falls != 0);
+        // A pairing that begins far on takes the first sample as what was before it.
+        let mut plain = Pairing::default();
+        let mut far = Pairing::default();
+        let before = Sample { rises, falls, rise: Ticks(0), fall: Ticks(0) };
+        let _ = far.take(before);
+        let behind = far.lost();
+        let mut seen = [0u32; 2];
+        let mut at = Ticks(0);
+        let mut stamps = [Ticks(0); 2];
+        for (index, change) in changes.iter().enumerate() {
+            at = at.after(Span(change.after));
+            seen[index % 2] += 1;
+            stamps[index % 2] = at;
+            if index % 2 == 1 && change.fetched {
+                let here = Sample { rises: seen[0], falls: seen[1], rise: stamps[0], fall: stamps[1] };
+                let there = Sample {
+                    rises: rises.wrapping_add(seen[0]),
+                    falls: falls.wrapping_add(seen[1]),
+                    ..here
+                };
+                prop_assert_eq!(plain.take(here), far.take(there));
+                prop_assert_eq!(plain.lost(), far.lost().wrapping_sub(behind));
+            }
+        }
+    }
+
+    #[test]
+    fn the_watchdog_is_fed_only_after_every_stage_moved(moves in prop::collection::vec((any::<bool>(), any::<bool>()), 1..100)) {
+        let mut progress = Progress::default();
+        let mut runs = [u32::MAX - 3; 2];
+        progress.all_moved(runs);
+        let mut since = [false; 2];
+        for (classify, solve) in moves {
+            for (stage, moved) in [classify, solve].into_iter().enumerate() {
+                runs[stage] = runs[stage].wrapping_add(u32::from(moved));
+                since[stage] |= moved;
+            }
+            let fed = progress.all_moved(runs);
+            prop_assert_eq!(fed, since == [true; 2]);
+            if fed {
+                since = [false; 2];
+            }
+        }
+    }
+
+    #[test]
+    fn a_busy_channel_is_tried_five_times_after_waits_within_the_standards_bounds(seed: u32) {
+        let mut csma = Csma::new(seed);
+        for _ in 0..3 {
+            let first = csma.begin();
+            prop_assert!(first < 8 * PERIOD_US && first.is_multiple_of(PERIOD_US));
+            let later: Vec<u32> = std::iter::from_fn(|| csma.again()).collect();
+            prop_assert_eq!(later.len(), 4);
+            for (wait, bound) in later.into_iter().zip([16, 32, 32, 32]) {
+                prop_assert!(wait < bound * PERIOD_US && wait.is_multiple_of(PERIOD_US));
+            }
+        }
+    }
+
+    #[test]
+    fn the_radio_makes_the_two_bytes_that_were_left_out(pan: u16, mote: u16, sequence: u16, time: u32) {
+        let frame = emit(Header { pan, mote, sequence }, &Report { time, ..Report::default() });
+        let mut psdu = Psdu::new();
+        prop_assert!(psdu.load(&frame));
+        let sent = on_air(&psdu);
+        prop_assert_eq!(&sent[..], &frame[..]);
+        prop_assert!(frame::parse(&sent).is_ok());
+    }
+
+    #[test]
+    fn no_length_is_sent_that_a_listener_could_not_hold(frame in prop::collection::vec(any::<u8>(), 0..300)) {
+        let mut psdu = Psdu::new();
+        let fits = (2..=MAX_PSDU).contains(&frame.len());
+        prop_assert_eq!(psdu.load(&frame), fits);
+        if fits {
+            prop_assert_eq!(usize::from(psdu.bytes()[0]), frame.len());
+            prop_assert_eq!(&psdu.bytes()[1..frame.len() - 1], &frame[..frame.len() - 2]);
+        } else {
+            prop_assert_eq!(psdu.bytes()[0], 0);
+        }
+    }
+
+    #[test]
+    fn a_ts4231_ends_on_watch_with_our_word_whatever_it_remembered(power_on: bool, word in 0..1u16 << 14) {
+        let mut chip = Ts4231 { word, ..Ts4231::new(power_on) };
+        prop_assert_eq!(ts4231::start(&mut chip), Ok(()));
+        prop_assert_eq!(chip.mode, Mode::Watching);
+        prop_assert_eq!(chip.word, WORD);
+        prop_assert_eq!((chip.e, chip.d), (Drive::Released, Drive::Released));
+    }
+}
+
+#[test]
+fn light_at_sixteen_megahertz_is_understood_from_stamps_and_counts() {
+    // The counter wraps in slot 7. 20 slots are enough to find the cycle; after them every slot has its sweep.
+    let cycle = Cycle { clock: 16_000_000, start: u32::MAX - 1_000_000, ..Cycle::TYPICAL };
+    let mut pairing = Pairing::default();
+    let mut state = sweep::State::default();
+    let mut sample = Sample { rises: 0, falls: 0, rise: Ticks(0), fall: Ticks(0) };
+    let mut sweeps = 0;
+    for (index, (truth, pulse)) in cycle.pulses(0, 60).enumerate() {
+        sample.rises += 1;
+        sample.falls += 1;
+        sample.rise = pulse.start;
+        sample.fall = pulse.start.after(pulse.width);
+        let light = sweep::step(&sweep::Config::DEFAULT, &mut state, pairing.take(sample).unwrap());
+        if index < 20 * PULSES_PER_SLOT as usize {
+            continue;
+        }
+        match (light, truth) {
+            (Some(Light::Sweep(sweep)), Truth::Sweep(station, axis)) => {
+                assert_eq!((sweep.station, sweep.axis), (station, axis));
+                let after = cycle.span(cycle.sweep_after[station as usize][axis as usize].into());
+                // Four instants, each rounded down to a tick.
+                assert!(sweep.since_sync.0.abs_diff(after.0) <= 2, "{:?}, not {after:?}", sweep.since_sync);
+                sweeps += 1;
+            }
+            (Some(Light::Sync(sync)), Truth::Sync(truth)) => assert_eq!(sync, truth),
+            other => panic!("{other:?} at pulse {index}"),
+        }
+    }
+    assert_eq!(sweeps, 40);
+}
+
+/// What a receiver hears of a PSDU in memory: the radio of the product specification as a shift register.
+///
+/// CRCPOLY 0x11021, CRCINIT 0, from behind the length on, every byte's lowest bit first; then the register, its highest
+/// bit first (6.20.12, 6.20 CRCPOLY).
+fn on_air(psdu: &Psdu) -> Vec<u8> {
+    let [length, rest @ ..] = psdu.bytes() else { unreachable!() };
+    let body = &rest[..usize::from(*length) - 2];
+    let mut register = 0u32;
+    for byte in body {
+        for bit in 0..8 {
+            let carry = register >> 15 & 1 != u32::from(byte >> bit & 1);
+            register = register << 1 & 0xffff ^ if carry { 0x1_1021 & 0xffff } else { 0 };
+        }
+    }
+    let mut bytes = body.to_vec();
+    // Bits arrive lowest first in each byte.
+    for byte in 0..2 {
+        bytes.push((0..8).map(|bit| ((register >> (15 - 8 * byte - bit) & 1) as u8) << bit).sum());
+    }
+    bytes
+}
+
+#[test]
+fn the_length_counts_the_two_bytes_that_the_radio_adds() {
+    let mut psdu = Psdu::new();
+    assert!(psdu.load(&emit(Header::default(), &Report::default())));
+    assert_eq!(usize::from(psdu.bytes()[0]), LEN);
+}
+
+#[test]
+fn channels_lie_five_megahertz_apart_from_2405_to_2480() {
+    let all: Vec<u8> = (0..=255).filter_map(Channel::new).map(Channel::mhz_above_2400).collect();
+    assert_eq!(all, (0..16).map(|step| 5 + 5 * step).collect::<Vec<u8>>());
+    assert_eq!(Channel::new(26).map(Channel::mhz_above_2400), Some(80));
+}
+
+#[test]
+fn motes_with_different_numbers_do_not_wait_alike() {
+    let waits = |seed| {
+        let mut csma = Csma::new(seed);
+        (0..32).map(move |_| csma.begin()).collect::<Vec<u32>>()
+    };
+    let all: HashSet<Vec<u32>> = (0..64).map(waits).collect();
+    assert_eq!(all.len(), 64);
+    let mut counts = [0u32; 8];
+    for wait in (0..2_000).flat_map(waits) {
+        counts[(wait / PERIOD_US) as usize] += 1;
+    }
+    // 64,000 throws of an 8-sided die: 8,000 each, standard deviation 84.
+    assert!(counts.iter().all(|count| count.abs_diff(8_000) < 500), "{counts:?}");
+}
+
+#[test]
+fn a_reset_has_one_cause_and_the_pin_speaks_alone() {
+    assert_eq!(Cause::from_bits(0), Cause::Power);
+    assert_eq!(Cause::from_bits(0b0001), Cause::Pin);
+    assert_eq!(Cause::from_bits(0b1111), Cause::Pin);
+    assert_eq!(Cause::from_bits(0b0010), Cause::Watchdog);
+    assert_eq!(Cause::from_bits(0b0100), Cause::Software);
+    assert_eq!(Cause::from_bits(0b1000), Cause::Lockup);
+    assert_eq!(Cause::from_bits(1 << 16), Cause::Wake(1 << 16));
+}
+
+/// What a TS4231 does, as far as its maker's library shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Mode {
+    /// Since power-on; whether light has come, and clocks of E since.
+    Fresh {
+        lit: bool,
+        clocks: u8,
+    },
+    /// Waits for a transfer.
+    Open,
+    /// In a transfer: bits so far, and their number.
+    Transfer {
+        bits: u16,
+        count: u8,
+    },
+    /// E has fallen before D: leaving the open state.
+    Leaving,
+    Watching,
+}
+
+/// A TS4231 on its two wires.
+struct Ts4231 {
+    mode: Mode,
+    word: u16,
+    e: Drive,
+    d: Drive,
+    /// What it says on D while it is read.
+    says: Option<bool>,
+    us: u64,
+    /// Comes to the light at all.
+    light: bool,
+    /// Takes what is written.
+    sound: bool,
+}
+
+impl Ts4231 {
+    fn new(power_on: bool) -> Self {
+        let mode = if power_on { Mode::Fresh { lit: false, clocks: 0 } } else { Mode::Watching };
+        Self { mode, word: 0, e: Drive::Released, d: Drive::Released, says: None, us: 0, light: true, sound: true }
+    }
+
+    /// A flash of 100 us every 8.333 ms.
+    fn lit(&self) -> bool {
+        self.light && self.us % 8_333 < 100
+    }
+
+    fn level(drive: Drive, itself: bool) -> bool {
+        match drive {
+            Drive::Low => false,
+            Drive::High => true,
+            Drive::Released => itself,
+        }
+    }
+
+    fn wires(&self) -> (bool, bool) {
+        let (e, d) = match self.mode {
+            Mode::Fresh { .. } => (false, self.lit()),
+            Mode::Open | Mode::Leaving => (true, true),
+            Mode::Transfer { .. } => (true, self.says.unwrap_or(true)),
+            Mode::Watching => (!self.lit(), self.lit() && self.us.is_multiple_of(2)),
+        };
+        (Self::level(self.e, e), Self::level(self.d, d))
+    }
+
+    /// One wire changes: what the chip makes of it.
+    fn change(&mut self, drive: impl FnOnce(&mut Self)) {
+        let (e, d) = self.wires();
+        drive(self);
+        let (e_now, d_now) = self.wires();
+        let (e_rose, e_fell, d_rose, d_fell) = (!e && e_now, e && !e_now, !d && d_now, d && !d_now);
+        let driven_e = self.e != Drive::Released;
+        self.mode = match self.mode {
+            Mode::Fresh { lit: true, clocks } if e_rose && driven_e => Mode::Fresh { lit: true, clocks: clocks + 1 },
+            Mode::Fresh { lit: true, clocks: 2.. } if d_rose && e_now => Mode::Open,
+            // On watch it opens in the same way; the clocks do not matter to this copy.
+            Mode::Watching if d_rose && e_now && driven_e => Mode::Open,
+            Mode::Open if d_fell && e_now => Mode::Transfer { bits: 0, count: 0 },
+            Mode::Open if e_fell => Mode::Leaving,
+            Mode::Leaving if e_rose && self.d == Drive::Released => Mode::Watching,
+            Mode::Transfer { bits, count } if e_rose && count < 15 => {
+                Mode::Transfer { bits: bits << 1 | u16::from(d_now), count: count + 1 }
+            }
+            Mode::Transfer { bits, count } if d_rose && e_now => {
+                if count == 15 && bits >> 14 == 0 && self.sound {
+                    self.word = bits;
+                }
+                self.says = None;
+                Mode::Open
+            }
+            other => other,
+        };
+        // The first bit was a one: the word goes out, a bit for each clock that follows, from the fall before on.
+        if let Mode::Transfer { bits, count } = self.mode
+            && count > 0
+            && bits >> (count - 1) & 1 == 1
+            && e_fell
+        {
+            self.says = 14u8.checked_sub(count).map(|bit| self.word >> bit & 1 != 0);
+        }
+    }
+}
+
+impl Wires for Ts4231 {
+    fn e(&mut self, drive: Drive) {
+        self.change(|chip| chip.e = drive);
+    }
+
+    fn d(&mut self, drive: Drive) {
+        self.change(|chip| chip.d = drive);
+    }
+
+    fn levels(&mut self) -> (bool, bool) {
+        self.wires()
+    }
+
+    fn wait_us(&mut self, us: u32) {
+        self.us += u64::from(us);
+        if let Mode::Fresh { lit, .. } = &mut self.mode {
+            *lit |= self.light && self.us % 8_333 >= 100;
+        }
+    }
+}
+
+#[test]
+fn a_ts4231_that_sees_no_light_is_said_to_be_in_the_dark() {
+    let mut chip = Ts4231 { light: false, ..Ts4231::new(true) };
+    assert_eq!(ts4231::start(&mut chip), Err(Failure::Dark));
+    chip.light = true;
+    assert_eq!(ts4231::start(&mut chip), Ok(()));
+}
+
+#[test]
+fn a_ts4231_that_forgets_is_caught_by_reading_back() {
+    let mut chip = Ts4231 { sound: false, word: 0x1234, ..Ts4231::new(true) };
+    assert_eq!(ts4231::start(&mut chip), Err(Failure::Word(0x1234)));
+}
+
+#[test]
+fn wires_that_lead_nowhere_are_said_not_to_open() {
+    struct Nothing(bool, bool);
+    impl Wires for Nothing {
+        fn e(&mut self, _: Drive) {}
+        fn d(&mut self, _: Drive) {}
+        fn levels(&mut self) -> (bool, bool) {
+            (self.0, self.1)
+        }
+        fn wait_us(&mut self, _: u32) {}
+    }
+    assert_eq!(ts4231::start(&mut Nothing(false, false)), Err(Failure::Dark));
+    assert_eq!(ts4231::start(&mut Nothing(true, false)), Err(Failure::Closed(State::Watching)));
+    assert_eq!(ts4231::start(&mut Nothing(false, true)), Err(Failure::Closed(State::Asleep)));
+    assert_eq!(ts4231::start(&mut Nothing(true, true)), Err(Failure::Word(0x3fff)));
+}
+
+#[test]
+fn one_look_spoilt_by_light_does_not_change_what_is_seen() {
+    struct Looks(VecDeque<(bool, bool)>);
+    impl Wires for Looks {
+        fn e(&mut self, _: Drive) {}
+        fn d(&mut self, _: Drive) {}
+        fn levels(&mut self) -> (bool, bool) {
+            self.0.pop_front().unwrap()
+        }
+        fn wait_us(&mut self, _: u32) {}
+    }
+    let watching = (true, false);
+    let lit = (false, true);
+    for looks in [[lit, watching, watching], [watching, lit, watching], [watching, watching, lit]] {
+        assert_eq!(ts4231::state(&mut Looks(looks.into_iter().collect())), State::Watching);
+    }
+    let mixed = vec![watching, lit, (true, true)];
+    assert_eq!(ts4231::state(&mut Looks(mixed.into())), State::Unclear);
+}

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use xtask::flash;
 
 mod bake;
 mod bench;
@@ -49,6 +50,11 @@ enum Verb {
     /// and has QEMU count the same instructions. Prints one table and writes target/bench/summary.json. What grew
     /// since tests/expected/bench.txt was written is an error.
     Bench(bench::Arguments),
+    /// Put the firmware onto a chip, or onto a tray of chips: release build with the room and the id, size, programming
+    ///
+    /// A SCuM-3C through an nRF52840-DK or a Teensy on a serial port, an nRF52840 through probe-rs. docs/flashing.md has
+    /// the wires and the formats.
+    Flash(flash::Arguments),
     /// Run every test: on this computer, and on an emulated Cortex-M0 like the one in the mote
     ///
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
@@ -76,6 +82,7 @@ fn main() -> ExitCode {
         Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
         Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
+        Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),

@@ -15,6 +15,8 @@ use crate::qemu;
 
 /// SCuM-3C and the emulated board both have a Cortex-M0.
 pub(crate) const CORTEX_M0: &str = "thumbv6m-none-eabi";
+/// The nRF52840 has a Cortex-M4 with floats.
+pub(crate) const CORTEX_M4: &str = "thumbv7em-none-eabihf";
 
 /// How to get QEMU by hand.
 const QEMU_BY_HAND: &str = "\

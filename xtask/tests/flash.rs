@@ -4,15 +4,19 @@
 #[path = "flash/player.rs"]
 mod player;
 
-use std::io::Cursor;
+use std::io::{Cursor, Write};
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
 use anyhow::{Result, bail};
+use lighthouse_mote::frame;
 use lighthouse_mote::identity::{Block, Identity, READS_ADDRESS, emit};
 use player::{Mischief, Player, Taken, line, nrf_dk, teensy};
 use serialport::{SerialPortInfo, SerialPortType, UsbPortInfo};
+use sim::mote::Mote;
+use sim::world::{Scene, World};
 use xtask::flash::identity::{self, Change, Fixed};
 use xtask::flash::image::{self, Image, Unfit};
 use xtask::flash::line::Line;
@@ -492,4 +496,72 @@ fn bad_arguments_are_refused_before_anything_is_built() {
         assert!(said.contains(says), "{arguments:?}: {said}");
         assert!(!printed.contains("cargo"), "{arguments:?} built something: {printed}");
     }
+}
+
+/// The verb at work on a played nRF52840-DK: what each mote received.
+fn flashed(arguments: &[&str], motes: usize, typed: &[u8]) -> (Output, Vec<Taken>) {
+    let (port, mut player) = line();
+    player.reopened = true;
+    let player = player.play(move |player| (0..motes).map(|_| nrf_dk(player)).collect());
+    let mut xtask = Command::new(env!("CARGO_BIN_EXE_xtask"));
+    xtask.args(["flash", "scum3c", "--programmer", "nrf", "--port", &port]).args(arguments);
+    xtask.current_dir(root()).env_remove("LIGHTHOUSE_CALIB");
+    let mut tool =
+        xtask.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the tool starts");
+    tool.stdin.take().expect("it listens").write_all(typed).expect("it reads");
+    let output = tool.wait_with_output().expect("the tool ends");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    (output, player.join().expect("the player found nothing wrong"))
+}
+
+/// The frames that a mote with this code RAM sends in the default scene, as (header, error in metres).
+fn heard(memory: &[u8], seconds: f64) -> Vec<(frame::Header, f64)> {
+    let mut world = World::new(&Scene { length_s: seconds, ..Scene::default() }, 1);
+    let clock = &world.scene().clock;
+    let hclk = NonZeroU32::new((clock.nominal_hz * (1.0 + clock.error)).round() as u32).expect("a clock that runs");
+    let mut mote = Mote::boot_image(memory, hclk).expect("an image that fits");
+    let end = world.cycle(seconds);
+    while let Some(edge) = world.next_edge().filter(|edge| edge.cycle < end) {
+        mote.push_edge(edge.cycle, edge.level).expect("light comes in order");
+    }
+    mote.run_until(end).expect("the firmware runs");
+    mote.take_frames()
+        .collect::<Vec<_>>()
+        .into_iter()
+        .map(|sent| {
+            let (header, report) = frame::parse(&sent.bytes).expect("our frames");
+            let sighted = mote.cycle_of(report.time).expect("a timer that counts");
+            let error =
+                world.truth(sighted).into_iter().zip(report.position.map(f64::from)).map(|(a, b)| (a - b).powi(2));
+            (header, error.sum::<f64>().sqrt())
+        })
+        .collect()
+}
+
+#[test]
+fn what_a_programmer_received_boots_as_the_mote_asked_for_and_finds_itself() {
+    let (output, taken) = flashed(&["--ids", "48879,7"], 2, b"\n\n");
+    let printed = String::from_utf8_lossy(&output.stdout);
+    assert!(printed.contains("mote 2 of 2, id 7: done\n"), "{printed}");
+    assert!(printed.contains("2 of 2 motes programmed: ids 48879,7\n"), "{printed}");
+    assert_eq!(printed.matches("$ cargo build").count(), 1, "one build for all: {printed}");
+    for (taken, id) in taken.iter().zip([48_879, 7]) {
+        assert!(taken.booted && taken.calibrated);
+        image::verify(&taken.memory).expect("a whole image");
+        let heard = heard(&taken.memory, 3.0);
+        // The cycle is found within a second, and then there are 30 reports in each.
+        assert!(heard.len() > 50, "{} frames", heard.len());
+        assert!(heard.iter().all(|(header, _)| (header.mote, header.pan) == (id, 0x4C48)), "{:?}", heard.first());
+        // Ten times the simulated room's 3-D RMS of 0.15 cm.
+        let (_, error) = heard.last().expect("frames");
+        assert!(*error < 0.015, "{error} m");
+    }
+    let differing = taken[0].memory.iter().zip(&taken[1].memory).filter(|(a, b)| a != b).count();
+    assert!(differing <= 2 + 4, "id and CRC, but {differing} bytes differ");
+}
+
+#[test]
+fn a_room_names_the_mote_that_nobody_names() {
+    let (_, taken) = flashed(&[], 1, b"");
+    assert!(heard(&taken[0].memory, 1.5).iter().all(|(header, _)| header.mote == 1));
 }

@@ -26,16 +26,25 @@ mod rf_timer;
 mod stages;
 mod uart_log;
 
+use lighthouse_mote::identity::{self, Block, Identity};
+
 /// The room, as baked by build.rs.
 mod calib {
     include!(concat!(env!("OUT_DIR"), "/calib.rs"));
 }
 
+/// Who this mote is; a programmer overwrites it.
+#[used]
+static IDENTITY: Block = {
+    let baked = Identity { mote: calib::MOTE, pan: calib::PAN, channel: 0 };
+    Block::new(baked, identity::READS_ADDRESS)
+};
+
 #[rtic::app(device = crate::pac, peripherals = false)]
 mod app {
     use lighthouse_mote::frame::Header;
 
-    use crate::calib::{CONFIG, MOTE, PAN};
+    use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
     use crate::pac::Interrupt;
     use crate::radio::{Buffer, Radio};
@@ -67,12 +76,13 @@ mod app {
         bring_up::chip();
         rf_timer::start();
         rf_timer::arm(Alarm::Heartbeat, HEARTBEAT);
-        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", MOTE, fault::last());
+        let identity = crate::IDENTITY.read();
+        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", identity.mote, fault::last());
 
         let (capture, pulses) = capture::start();
         let (to_solve, sightings) = cx.local.sightings.split();
         let (to_radio, reports) = cx.local.reports.split();
-        let header = Header { pan: PAN, mote: MOTE, sequence: 0 };
+        let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
         (
             Shared {
                 capture,

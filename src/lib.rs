@@ -20,6 +20,8 @@ pub mod track;
 
 pub mod frame;
 
+pub mod identity;
+
 pub mod chain;
 
 #[cfg(test)]

@@ -87,18 +87,32 @@ impl Symbols {
 }
 
 /// A stretch of bytes with the address it is loaded to and the one the program uses.
-pub(crate) struct Segment<'a> {
-    pub(crate) load_address: u32,
-    pub(crate) run_address: u32,
-    pub(crate) bytes: &'a [u8],
+#[derive(Debug, Clone, Copy)]
+pub struct Segment<'a> {
+    /// Where the programmer puts it.
+    pub load_address: u32,
+    /// Where the program expects it.
+    pub run_address: u32,
+    /// Where it begins in the file.
+    pub offset: usize,
+    /// What is loaded.
+    pub bytes: &'a [u8],
 }
 
-pub(crate) struct Program<'a> {
-    pub(crate) segments: Vec<Segment<'a>>,
-    pub(crate) symbols: Symbols,
+/// What there is to load, and the names in it.
+#[derive(Debug, Clone)]
+pub struct Program<'a> {
+    /// The stretches that are not empty, in the file's order.
+    pub segments: Vec<Segment<'a>>,
+    /// The names.
+    pub symbols: Symbols,
 }
 
-pub(crate) fn read(file: &[u8]) -> Result<Program<'_>, LoadError> {
+/// Reads a linked program for a 32-bit little-endian Arm.
+///
+/// # Errors
+/// The file is none.
+pub fn read(file: &[u8]) -> Result<Program<'_>, LoadError> {
     let unreadable = |error: object::Error| LoadError::Unreadable(error.to_string());
     let parsed = ElfFile32::<LittleEndian>::parse(file).map_err(unreadable)?;
     let header = parsed.elf_header();
@@ -120,6 +134,7 @@ pub(crate) fn read(file: &[u8]) -> Result<Program<'_>, LoadError> {
         segments.push(Segment {
             load_address: header.p_paddr(LittleEndian),
             run_address: header.p_vaddr(LittleEndian),
+            offset: header.p_offset(LittleEndian) as usize,
             bytes,
         });
     }

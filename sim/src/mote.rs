@@ -60,17 +60,33 @@ impl Load {
     }
 }
 
+/// A chip with empty memory whose core runs at `hclk_hz`.
+fn chip(hclk_hz: NonZeroU32) -> Machine<Scum3c> {
+    let devices = Scum3c::new(scum3c::Config { hclk_hz, ..scum3c::Config::default() });
+    Machine::new(Config { clock_hz: hclk_hz.get(), ..Config::default() }, devices)
+}
+
 impl Mote {
     /// Loads `elf` into a chip whose core runs at `hclk_hz`, in the dark.
     ///
     /// # Errors
     /// The file is no image for this chip.
     pub fn boot(elf: &[u8], hclk_hz: NonZeroU32) -> Result<Self, LoadError> {
-        let devices = Scum3c::new(scum3c::Config { hclk_hz, ..scum3c::Config::default() });
-        let config = Config { clock_hz: hclk_hz.get(), ..Config::default() };
-        let mut machine = Machine::new(config, devices);
+        let mut machine = chip(hclk_hz);
         let symbols = machine.load_elf(elf)?;
         Ok(Self { machine, symbols })
+    }
+
+    /// Puts `image` into the code RAM from address 0, as the chip's boot loader does, and starts it as [`Self::boot`].
+    ///
+    /// # Errors
+    /// More bytes than code RAM.
+    pub fn boot_image(image: &[u8], hclk_hz: NonZeroU32) -> Result<Self, LoadError> {
+        let mut machine = chip(hclk_hz);
+        let outside = LoadError::OutsideMemory { address: 0, bytes: image.len() as u32 };
+        machine.write_bytes(0, image).ok_or(outside)?;
+        machine.reset();
+        Ok(Self { machine, symbols: Symbols::default() })
     }
 
     /// Queues a change of the light at `cycle`.

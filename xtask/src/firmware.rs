@@ -8,6 +8,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, anyhow};
 use xtask::calib::{self, Calibration};
+use xtask::flash::{self, Board, Workshop};
 
 use crate::process::{cargo, root, run};
 use crate::setup;
@@ -25,17 +26,38 @@ pub(crate) fn room(calib: &Path) -> Result<Calibration> {
 /// Builds the SCuM-3C image for the room in `calib`, with the lines of `mote` in place of those under its `[mote]`;
 /// returns the ELF file's bytes.
 pub(crate) fn scum3c(calib: &Path, mote: &str) -> Result<Vec<u8>> {
-    let elf = build("scum3c", calib, mote)?;
-    std::fs::read(&elf).with_context(|| format!("{}: built, but cannot be read", elf.display()))
+    read(&build("scum3c", calib, mote)?)
+}
+
+/// Puts what it builds onto chips.
+pub(crate) fn flash(arguments: &flash::Arguments) -> Result<()> {
+    let workshop = Workshop {
+        root: root(),
+        default_calib: DEFAULT_CALIB,
+        check: &|calib| room(calib).map(|_| ()),
+        build: &|board, calib| match board {
+            Board::Scum3c => scum3c(calib, ""),
+            Board::Nrf52840 => read(&build_for(setup::CORTEX_M4F, board.name(), calib, "")?),
+        },
+    };
+    flash::flash(arguments, &workshop, &mut std::io::stdin().lock())
+}
+
+fn read(elf: &Path) -> Result<Vec<u8>> {
+    std::fs::read(elf).with_context(|| format!("{}: built, but cannot be read", elf.display()))
 }
 
 /// Builds the binary `name`, whose feature has the same name, as [`scum3c`] does; returns where it lies.
 pub(crate) fn build(name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
-    setup::target(setup::CORTEX_M0)?;
-    let arguments = ["build", "--release", "--bin", name, "--features", name, "--target", setup::CORTEX_M0];
+    build_for(setup::CORTEX_M0, name, calib, mote)
+}
+
+fn build_for(target: &str, name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
+    setup::target(target)?;
+    let arguments = ["build", "--release", "--bin", name, "--features", name, "--target", target];
     let calib = calib.canonicalize().with_context(|| calib.display().to_string())?;
     run(cargo(&arguments).env("LIGHTHOUSE_CALIB", &calib).env("LIGHTHOUSE_MOTE", mote))?;
-    Ok(target_dir()?.join(setup::CORTEX_M0).join("release").join(name))
+    Ok(target_dir()?.join(target).join("release").join(name))
 }
 
 /// Where cargo builds, which the user may have moved.

@@ -4,9 +4,12 @@
 //! that the stations must have sent, the virtual mote answers with fixes, [`score`] holds them
 //! against the truth and against [`reference`], and [`output`] writes it all down, with the help
 //! of [`svg`] and [`pcap`].
+//!
+//! [`flash`] is the other way out: from a build to a chip.
 
 pub mod calib;
 pub mod calibrate;
+pub mod flash;
 pub mod light;
 pub mod output;
 pub mod pcap;

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use xtask::flash;
 
 mod bake;
 mod bench;
@@ -63,6 +64,11 @@ enum Verb {
     /// target/scenes: summary.json, range.svg, incidence.svg. A promise that is broken, or a figure that is not in
     /// tests/expected/scenes.txt, is an error.
     Scenes(scenes::Arguments),
+    /// Put the firmware onto a chip, or onto a tray of chips: release build with the room and the id, size, programming
+    ///
+    /// A SCuM-3C through an nRF52840-DK or a Teensy on a serial port, an nRF52840 through probe-rs. docs/flashing.md has
+    /// the wires and the formats.
+    Flash(flash::Arguments),
     /// Run every test: on this computer, and on an emulated Cortex-M0 like the one in the mote
     ///
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
@@ -99,6 +105,7 @@ fn main() -> ExitCode {
         Verb::Calibrate(arguments) => xtask::calibrate::calibrate(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
+        Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),

@@ -27,16 +27,25 @@ mod rf_timer;
 mod stages;
 mod uart_log;
 
+use lighthouse_mote::identity::{self, Block, Identity};
+
 /// The room, as baked by build.rs.
 mod calib {
     include!(concat!(env!("OUT_DIR"), "/calib.rs"));
 }
 
+/// Who this mote is; a programmer overwrites it.
+#[used]
+static IDENTITY: Block = {
+    let baked = Identity { mote: calib::MOTE, pan: calib::PAN, channel: 0 };
+    Block::new(baked, identity::READS_ADDRESS)
+};
+
 #[rtic::app(device = crate::pac, peripherals = false)]
 mod app {
     use lighthouse_mote::frame::{Header, Reset};
 
-    use crate::calib::{CONFIG, MOTE, PAN};
+    use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
     use crate::pac::Interrupt;
     use crate::radio::{Frames as Air, Radio};
@@ -69,14 +78,15 @@ mod app {
         rf_timer::start();
         rf_timer::arm(Alarm::Second, SECOND);
         let crash = fault::last();
-        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", MOTE, crash);
+        let identity = crate::IDENTITY.read();
+        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", identity.mote, crash);
 
         let (capture, pulses) = capture::start();
         let (to_solve, sightings) = cx.local.sightings.split();
         let (to_tell, tales) = cx.local.tales.split();
         let (to_radio, frames) = cx.local.frames.split();
         let reset = crash.map_or((Reset::PowerOn, 0), |crash| (crash.reset(), crash.at));
-        let header = Header { pan: PAN, mote: MOTE, sequence: 0 };
+        let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
         (
             Shared { capture, classify: Classify::new(pulses, to_solve, to_tell), radio: Radio::new(frames) },
             Local { solve: Solve::new(sightings, tales, Frames::new(to_radio, header), reset) },

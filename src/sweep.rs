@@ -295,11 +295,22 @@ pub fn step(config: &Config, state: &mut State, pulse: Pulse) -> Option<Light> {
     if !lock.follow(config, pulse.start) {
         return state.seek(pulse, true);
     }
-    let light = lock.place(config, &mut state.rejects, pulse);
-    if light.is_none() && state.lock.is_doubtful() {
-        return state.seek(pulse, false);
+    match lock.flash_at(config, pulse.start) {
+        Some((station, rise)) => {
+            if let Some(data) = lock.flash(config, &mut state.rejects, station, rise, pulse.width.0) {
+                return Some(Light::Sync(lock.sync(station, data)));
+            }
+        }
+        None => {
+            if let Some(sweep) = lock.laser(config, &mut state.rejects, pulse) {
+                return Some(Light::Sweep(sweep));
+            }
+        }
     }
-    light
+    if !lock.is_doubtful() {
+        return None;
+    }
+    state.seek(pulse, false)
 }
 
 /// Says whether the light has been gone too long, where no pulse comes to say so; `now` is later than every pulse.

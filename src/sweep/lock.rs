@@ -13,7 +13,7 @@
 
 use super::search::{Found, Search};
 use super::width::{SWEEP_STEPS, Units, WIDTH_BASE_STEPS};
-use super::{Axis, Cause, Closed, Config, HalfTurn, Light, Rejects, Stamp, Station, Sweep, Sync};
+use super::{Axis, Cause, Closed, Config, HalfTurn, Rejects, Stamp, Station, Sweep, Sync};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
 
@@ -116,12 +116,14 @@ pub(super) struct Lock {
     /// 0 ..= 3; before the place is known, only its lowest bit means something.
     slot: u32,
     units: Units,
-    /// How far a flash may be from its prediction.
-    tolerance: u32,
+    /// Where everything is known and nothing new: off by this much is too far for a flash. 0 otherwise.
+    near: u32,
     trains: [Train; 2],
     /// The width of the sweep that this slot gave; 0 for none yet.
     chosen: u32,
     doubt: u32,
+    /// By how much the last flash has moved its prediction.
+    moved: i32,
     pub(super) dark_slots: u32,
     /// Half turns since the half turn was measured last.
     measured_age: u32,
@@ -131,8 +133,8 @@ pub(super) struct Lock {
     held: u32,
     /// 2 where only A exists, which then sweeps in every slot; 0 otherwise.
     first_slot: u32,
-    /// By how much the last flash has moved its prediction.
-    moved: i32,
+    /// How far a flash may be from its prediction.
+    tolerance: u32,
     pub(super) half_turn: HalfTurn,
     rotors: [Rotor; 4],
     held_after: u32,
@@ -262,8 +264,7 @@ impl Lock {
             self.close_unchosen();
         }
         self.chosen = 0;
-        let is_calm = self.phase == Phase::Locked && self.tolerance <= self.units.half_turn >> TOLERANCE_SHIFT;
-        if self.trains[0].seen & self.trains[1].seen & u32::from(is_calm) != 0 {
+        if self.trains[0].seen & self.trains[1].seen != 0 && self.near != 0 {
             self.dark_slots = 0;
         } else if !self.advance_oddly(config) {
             return false;
@@ -317,7 +318,15 @@ impl Lock {
         if self.phase == Phase::Pair {
             self.slots += 1;
         }
+        self.set_near();
         self.phase != Phase::Pair || self.slots <= PATIENCE
+    }
+
+    /// To be called where the phase, the tolerance or the half turn has changed.
+    #[inline(never)]
+    fn set_near(&mut self) {
+        let base = self.units.half_turn >> TOLERANCE_SHIFT;
+        self.near = if self.phase == Phase::Locked && self.tolerance <= base { base + 1 } else { 0 };
     }
 
     /// Learns the half turn from two flashes of one station that are whole cycles apart.
@@ -345,31 +354,91 @@ impl Lock {
             }
         }
         (self.measured, self.measured_of, self.measured_age) = (at, of, 0);
+        self.set_near();
     }
 
-    /// Says what a pulse is that [`Lock::follow`] has found the slot of.
+    /// The flash that a pulse is, of the slot that [`Lock::follow`] has found: whose, and how long after it should.
     #[inline]
-    pub(super) fn place(&mut self, config: &Config, counts: &mut Rejects, pulse: Pulse) -> Option<Light> {
+    pub(super) fn flash_at(&self, config: &Config, start: Ticks) -> Option<(Station, i32)> {
         let window = self.units.half_turn >> config.window_shift;
         let is_near = |rise: i32| rise.wrapping_add_unsigned(window) as u32 <= 2 * window;
-        let [a, b] = &self.trains;
-        let mut station = Station::A;
-        let mut rise = pulse.start.offset_from(a.next);
-        if !is_near(rise) {
-            station = Station::B;
-            rise = pulse.start.offset_from(b.next);
-            if !is_near(rise) {
-                return self.laser(config, counts, pulse);
-            }
+        let rise = start.offset_from(self.trains[Station::A as usize].next);
+        if is_near(rise) {
+            return Some((Station::A, rise));
         }
-        let data = self.flash(config, counts, station, rise, pulse.width.0)?;
+        let rise = start.offset_from(self.trains[Station::B as usize].next);
+        is_near(rise).then_some((Station::B, rise))
+    }
+
+    /// A flash of `station` with the data bit `data`, in this slot.
+    #[inline]
+    pub(super) fn sync(&self, station: Station, data: bool) -> Sync {
         let (sweeping, axis) = turn(self.slot);
-        Some(Light::Sync(Sync { station, axis, skip: station != sweeping, data }))
+        Sync { station, axis, skip: station != sweeping, data }
+    }
+
+    /// How much later a flash falls than it would with a data bit of zero.
+    #[inline(always)]
+    fn fall(&self, station: Station, rise: i32, width: u32) -> i32 {
+        // Bit 0 is the axis, bit 1 the skip; the skip is four steps.
+        let code = (self.slot ^ (station as u32 * 2) ^ 2) as i32;
+        let bare = self.units.step * (WIDTH_BASE_STEPS as i32 + code + (code & 2));
+        rise.wrapping_add_unsigned(width) - bare - (self.trains[station as usize].bias_q3 >> BIAS_SHIFT)
     }
 
     /// A pulse that rises `rise` after the station's next flash should; gives its data bit.
     #[inline(never)]
-    fn flash(
+    pub(super) fn flash(
+        &mut self,
+        config: &Config,
+        counts: &mut Rejects,
+        station: Station,
+        rise: i32,
+        width: u32,
+    ) -> Option<bool> {
+        let step = self.units.step;
+        let mut fall = self.fall(station, rise, width);
+        let data = fall > step;
+        if data {
+            fall -= 2 * step;
+        }
+        let (rise_off, fall_off) = (rise.unsigned_abs(), fall.unsigned_abs());
+        let mut off = rise;
+        let mut far = rise_off;
+        if fall_off < rise_off {
+            off = fall;
+            far = fall_off;
+        }
+        let train = &mut self.trains[station as usize];
+        let near = self.near;
+        if train.noise >= near || far >= near || fall_off > (step * 3) as u32 >> 1 || train.seen != 0 {
+            return self.flash_oddly(config, counts, station, rise, width);
+        }
+        train.seen = 1;
+        train.syncs += 1;
+        let earlier = core::mem::replace(&mut train.off, off);
+        let slew = (self.units.half_turn >> SLEW_SHIFT) as i32;
+        let mut moved = (off + 1) >> 1;
+        if far > 2 * slew as u32 && (off ^ earlier < 0 || earlier.unsigned_abs() <= 2 * slew as u32) {
+            moved = if off < 0 { -slew } else { slew };
+        }
+        train.next = Ticks(train.next.0.wrapping_add_signed(moved));
+        self.moved = moved;
+        // Once the receiver is known, a flash per cycle is enough to hear of it.
+        if self.slot == station as u32 {
+            train.hear(fall - rise, step, false);
+        }
+        if self.doubt != 0 {
+            self.doubt -= 1;
+        }
+        Some(data)
+    }
+
+    /// The same for a flash that is not where it should be, of a new lock, of a station that is seen to come on late, or
+    /// for what is no flash.
+    #[cold]
+    #[inline(never)]
+    fn flash_oddly(
         &mut self,
         config: &Config,
         counts: &mut Rejects,
@@ -378,50 +447,59 @@ impl Lock {
         width: u32,
     ) -> Option<bool> {
         let Units { half_turn, step, .. } = self.units;
-        let train = &mut self.trains[station as usize];
-        if train.seen != 0 || width > 16 * step as u32 || !matches!(self.phase, Phase::Placed | Phase::Locked) {
-            self.learn(config, counts, station, rise, width);
-            return None;
-        }
-        // Bit 0 is the axis, bit 1 the skip; the skip is four steps.
-        let code = (self.slot ^ (station as u32 * 2) ^ 2) as i32;
-        let bare = step * (WIDTH_BASE_STEPS as i32 + code + (code & 2));
-        let mut fall = rise + width as i32 - bare - (train.bias_q3 >> BIAS_SHIFT);
+        let mut fall = self.fall(station, rise, width);
         let data = fall > step;
         if data {
             fall -= 2 * step;
         }
-        let spread = fall - rise;
         let base = half_turn >> TOLERANCE_SHIFT;
-        // Once the receiver is known, a flash per cycle is enough to hear of it.
         let is_new = self.tolerance > base;
-        let is_told = self.slot == station as u32;
-        if is_told || is_new {
-            train.hear(spread, step as u32, is_new);
-        }
-        let off = nearer(fall, rise);
-        let mut moved = (off + 1) >> 1;
-        let is_odd = is_new
-            || train.noise > base
-            || off.unsigned_abs() > self.tolerance
-            || fall.unsigned_abs() > (step + step / 2) as u32;
-        if is_odd {
-            moved = self.flash_oddly(counts, station, rise, fall)?;
-        } else {
-            let earlier = core::mem::replace(&mut train.off, off);
-            let slew = (half_turn >> SLEW_SHIFT) as i32;
-            if moved.unsigned_abs() > slew as u32 && (off ^ earlier < 0 || earlier.unsigned_abs() <= 2 * slew as u32) {
-                moved = if moved < 0 { -slew } else { slew };
-            }
-            if is_told && spread.unsigned_abs() <= step as u32 {
-                train.bias_q3 += spread;
-            }
-        }
-        if self.doubt != 0 {
-            self.doubt -= 1;
-        }
-        self.moved = moved;
+        let is_placed = self.is_placed();
         let train = &mut self.trains[station as usize];
+        if train.seen != 0 || width > 16 * step as u32 {
+            counts.turn_away(Cause::Misfit);
+            return None;
+        }
+        if !is_placed {
+            self.learn(config, counts, station, rise, width);
+            return None;
+        }
+        let spread = fall - rise;
+        let bias_q3 = train.bias_q3;
+        if is_new || self.slot == station as u32 {
+            train.hear(spread, step, is_new);
+        }
+        let learnt_q3 = core::mem::replace(&mut train.bias_q3, bias_q3);
+        let mut width_off = spread.unsigned_abs();
+        let mut off = if fall.unsigned_abs() < rise.unsigned_abs() { fall } else { rise };
+        let mut earlier = train.off;
+        let is_late = train.noise > base;
+        if is_late {
+            off = self.settle(station, rise, fall);
+            width_off = 0;
+            earlier = off;
+        }
+        let train = &mut self.trains[station as usize];
+        train.off = off;
+        let mut moved = off;
+        if off.unsigned_abs() > self.tolerance || fall.unsigned_abs() > (step * 3) as u32 >> 1 {
+            // Two in a row that say the same, of the right width, are where the flashes are now.
+            if width_off > step as u32 || off.abs_diff(earlier) > base {
+                counts.turn_away(Cause::Misfit);
+                self.doubt += CONTRADICTION;
+                if self.doubt >= DOUBT {
+                    self.forget_place();
+                }
+                return None;
+            }
+        } else if is_new {
+            train.bias_q3 += spread * 4;
+        } else {
+            train.bias_q3 += learnt_q3 - bias_q3;
+            moved = (off + 1) >> 1;
+        }
+        self.doubt = self.doubt.saturating_sub(1);
+        self.moved = moved;
         train.next = Ticks(train.next.0.wrapping_add_signed(moved));
         train.seen = 1;
         // A half turn that only the search has measured, from two flashes, may be off by as much as a flash.
@@ -430,47 +508,6 @@ impl Lock {
         }
         train.syncs += 1;
         Some(data)
-    }
-
-    /// A flash that is not where it should be, of a new lock, or of a station that is seen to come on late; says by how
-    /// much its prediction moves.
-    #[cold]
-    #[inline(never)]
-    fn flash_oddly(&mut self, counts: &mut Rejects, station: Station, rise: i32, fall: i32) -> Option<i32> {
-        let Units { half_turn, step, .. } = self.units;
-        let base = half_turn >> TOLERANCE_SHIFT;
-        let is_new = self.tolerance > base;
-        let spread = fall - rise;
-        let mut width_off = spread.unsigned_abs();
-        let mut off = nearer(fall, rise);
-        let mut earlier = self.trains[station as usize].off;
-        if self.trains[station as usize].noise > base {
-            off = self.settle(station, rise, fall);
-            width_off = 0;
-            earlier = off;
-        }
-        let train = &mut self.trains[station as usize];
-        train.off = off;
-        if off.unsigned_abs() > self.tolerance || fall.unsigned_abs() > (step + step / 2) as u32 {
-            // Two in a row that say the same, of the right width, are where the flashes are now.
-            if width_off <= step as u32 && off.abs_diff(earlier) <= base {
-                return Some(off);
-            }
-            counts.turn_away(Cause::Misfit);
-            self.doubt += CONTRADICTION;
-            if self.doubt >= DOUBT {
-                self.forget_place();
-            }
-            return None;
-        }
-        if is_new {
-            train.bias_q3 += spread * 4;
-            return Some(off);
-        }
-        if self.slot == station as u32 && spread.unsigned_abs() <= step as u32 {
-            train.bias_q3 += spread;
-        }
-        Some((off + 1) >> 1)
     }
 
     /// A station whose light is seen to come on late, each time by something else: only the falls tell where its flashes
@@ -492,7 +529,7 @@ impl Lock {
     #[inline(never)]
     fn forget_place(&mut self) {
         self.phase = if self.first_slot == 0 { Phase::Pair } else { Phase::Train };
-        (self.first_slot, self.slots, self.run, self.doubt) = (0, 0, 0, 0);
+        (self.near, self.first_slot, self.slots, self.run, self.doubt) = (0, 0, 0, 0, 0);
         (self.narrowest, self.widest, self.ever_skipped) = ([u32::MAX; 2], [0; 2], false);
         (self.held, self.chosen, self.rest) = (0, 0, Rest::Nothing);
         for rotor in &mut self.rotors {
@@ -500,12 +537,11 @@ impl Lock {
         }
     }
 
-    /// A flash while the place in the cycle is not known, or one that cannot be one.
-    #[cold]
+    /// A flash while the place in the cycle is not known.
     #[inline(never)]
     fn learn(&mut self, config: &Config, counts: &mut Rejects, station: Station, rise: i32, width: u32) {
         let train = &mut self.trains[station as usize];
-        if train.seen != 0 || self.phase >= Phase::Placed || !self.units.is_sync(Span(width)) {
+        if !self.units.is_sync(Span(width)) {
             counts.turn_away(Cause::Misfit);
             return;
         }
@@ -603,6 +639,7 @@ impl Lock {
             train.noise = 0;
         }
         self.tolerance = self.units.half_turn >> FRESH_SHIFT;
+        self.near = 0;
     }
 
     /// Says whose flashes the lone train is. The other station may be seen later.
@@ -628,19 +665,21 @@ impl Lock {
 
     /// A pulse between the flashes.
     #[inline]
-    fn laser(&mut self, config: &Config, counts: &mut Rejects, pulse: Pulse) -> Option<Light> {
+    pub(super) fn laser(&mut self, config: &Config, counts: &mut Rejects, pulse: Pulse) -> Option<Sweep> {
         let width = pulse.width.0;
-        let slot = self.slot;
-        let (station, axis) = turn(slot);
+        let (station, axis) = turn(self.slot);
         let at = match config.stamp {
             Stamp::Middle => pulse.start.after(Span(width / 2)),
             Stamp::Rise => pulse.start,
         };
         let after = at.since(self.trains[station as usize].next).0;
-        if !self.is_sweep(config, counts, at, after, width) {
-            return None;
-        }
-        Some(Light::Sweep(Sweep { station, axis, at, since_sync: Span(after), half_turn: self.half_turn }))
+        self.is_sweep(config, counts, at, after, width).then_some(Sweep {
+            station,
+            axis,
+            at,
+            since_sync: Span(after),
+            half_turn: self.half_turn,
+        })
     }
 
     /// Whether that is where this slot's sweep is expected; if so it is taken.
@@ -658,27 +697,51 @@ impl Lock {
             // angle stage knows that and draws the exact line.
             Cause::Stray
         } else {
+            if self.chosen | self.held != 0 && !self.is_better(counts, at, after, width) {
+                return false;
+            }
             let rotor = &mut self.rotors[self.slot as usize & 3];
-            if self.chosen == 0 {
-                let apart = after.abs_diff(rotor.after);
-                if apart > half_turn >> NEAR_SHIFT || 2 * width < rotor.width || self.held > width {
-                    self.hold(counts, at, after, width);
-                    return false;
-                }
-                rotor.choose(after, width);
-                rotor.sweeps += 1;
-                self.chosen = width;
-                // Nobody asked for what the slot before has left; now it would come too late.
-                self.rest = Rest::Nothing;
-                return true;
+            let far = after.abs_diff(rotor.after);
+            if far > half_turn >> NEAR_SHIFT {
+                self.hold(counts, at, after, width);
+                return false;
             }
-            // The wrong one was given away: compare the next time.
-            if width > self.chosen + self.chosen / 2 {
-                rotor.after = 0;
+            if 2 * width < rotor.width {
+                self.hold(counts, at, after, width);
+                return false;
             }
-            Cause::Second
+            rotor.choose(after, width);
+            rotor.sweeps += 1;
+            self.chosen = width;
+            if self.held != 0 {
+                // It waited in vain, and must not wait in the next slot.
+                self.held = 0;
+                counts.turn_away(Cause::Second);
+            }
+            // Nobody asked for what the slot before has left; now it would come too late.
+            self.rest = Rest::Nothing;
+            return true;
         };
         counts.turn_away(cause);
+        false
+    }
+
+    /// Whether a pulse like a sweep may be it where there was one already.
+    #[cold]
+    #[inline(never)]
+    fn is_better(&mut self, counts: &mut Rejects, at: Ticks, after: u32, width: u32) -> bool {
+        if self.chosen == 0 {
+            if self.held <= width {
+                return true;
+            }
+            self.hold(counts, at, after, width);
+            return false;
+        }
+        // The wrong one was given away: compare the next time.
+        if width > self.chosen + self.chosen / 2 {
+            self.rotors[self.slot as usize & 3].after = 0;
+        }
+        counts.turn_away(Cause::Second);
         false
     }
 
@@ -738,13 +801,17 @@ impl Lock {
 }
 
 impl Train {
-    /// Notes how much more than usual a flash was lengthened.
+    /// Learns from how much more than usual a flash was lengthened.
     #[inline(never)]
-    fn hear(&mut self, spread: i32, step: u32, is_new: bool) {
+    fn hear(&mut self, spread: i32, step: i32, is_new: bool) {
+        let step = step as u32;
         let earlier = core::mem::replace(&mut self.spread, spread);
         // One odd flash later on makes no noisy station.
         self.noise += spread.abs_diff(earlier).min(if is_new { step << 3 } else { step }) >> 3;
         self.noise -= self.noise >> 3;
+        if spread.unsigned_abs() <= step {
+            self.bias_q3 += spread;
+        }
     }
 }
 
@@ -752,8 +819,4 @@ impl Rotor {
     fn choose(&mut self, after: u32, width: u32) {
         (self.after, self.width, self.missed) = (after, width, 0);
     }
-}
-
-fn nearer(fall: i32, rise: i32) -> i32 {
-    if fall.unsigned_abs() < rise.unsigned_abs() { fall } else { rise }
 }

@@ -190,56 +190,60 @@ pub struct Counts {
     pub turned_away: u16,
 }
 
-impl Counts {
-    fn sync(&mut self, station: Station) {
-        let count = &mut self.syncs[station as usize];
-        *count = count.wrapping_add(1);
-    }
-
-    fn sweep(&mut self, station: Station, axis: Axis) {
-        let count = &mut self.sweeps[station as usize][axis as usize];
-        *count = count.wrapping_add(1);
-    }
-
-    fn stray(&mut self) {
-        turn_away(&mut self.strays, &mut self.turned_away);
-    }
-
-    fn short(&mut self) {
-        turn_away(&mut self.too_short, &mut self.turned_away);
-    }
-
-    fn long(&mut self) {
-        turn_away(&mut self.too_long, &mut self.turned_away);
-    }
-
-    fn second(&mut self) {
-        turn_away(&mut self.seconds, &mut self.turned_away);
-    }
-
-    fn misfit(&mut self) {
-        turn_away(&mut self.misfits, &mut self.turned_away);
-    }
+/// Why a pulse was turned away.
+#[derive(Debug, Clone, Copy)]
+enum Cause {
+    Stray,
+    Short,
+    Long,
+    Second,
+    Misfit,
 }
 
-fn turn_away(cause: &mut u16, all: &mut u16) {
-    *cause = cause.wrapping_add(1);
-    *all = all.wrapping_add(1);
+/// Pulses turned away, each cause and all.
+#[derive(Debug, Clone, Default)]
+struct Rejects {
+    causes: [u16; 5],
+    all: u16,
+}
+
+impl Rejects {
+    #[cold]
+    #[inline(never)]
+    fn turn_away(&mut self, cause: Cause) {
+        let count = &mut self.causes[cause as usize];
+        *count = count.wrapping_add(1);
+        self.all = self.all.wrapping_add(1);
+    }
 }
 
 /// Where in the light the mote is.
 #[derive(Debug, Clone, Default)]
+#[repr(C)]
 pub struct State {
     lock: Lock,
-    counts: Counts,
+    rejects: Rejects,
+    locks_lost: u16,
     search: Search,
 }
 
 impl State {
     /// What was counted so far.
     #[must_use]
-    pub const fn counts(&self) -> Counts {
-        self.counts
+    #[inline]
+    pub fn counts(&self) -> Counts {
+        let [strays, too_short, too_long, seconds, misfits] = self.rejects.causes;
+        Counts {
+            syncs: self.lock.syncs(),
+            sweeps: self.lock.sweeps(),
+            strays,
+            too_short,
+            too_long,
+            seconds,
+            misfits,
+            locks_lost: self.locks_lost,
+            turned_away: self.rejects.all,
+        }
     }
 
     /// What the slot that ended last gave, if its sweep was not said at once; said once per slot.
@@ -247,7 +251,7 @@ impl State {
     /// To be asked after every [`step`] that gave no sweep, and after [`expire`].
     #[inline]
     pub fn closed(&mut self) -> Option<Closed> {
-        self.lock.take_closed(&mut self.counts)
+        self.lock.take_closed()
     }
 
     /// The measured half turn, while the cycle is locked.
@@ -267,7 +271,7 @@ impl State {
     #[must_use]
     pub fn status(&self, now: Ticks) -> Status {
         match (self.lock.phase, self.search.status(now)) {
-            (Phase::Locked, _) => Status::Locked,
+            (Phase::Locked | Phase::Placed, _) => Status::Locked,
             (_, Status::Spacing) => Status::Spacing,
             (Phase::Nameless, _) => Status::OneStation,
             (Phase::Pair | Phase::Train, _) => Status::Searching,
@@ -291,11 +295,22 @@ pub fn step(config: &Config, state: &mut State, pulse: Pulse) -> Option<Light> {
     if !lock.follow(config, pulse.start) {
         return state.seek(pulse, true);
     }
-    let light = lock.place(config, &mut state.counts, pulse);
-    if light.is_none() && state.lock.is_doubtful() {
-        return state.seek(pulse, false);
+    match lock.flash_at(config, pulse.start) {
+        Some((station, rise)) => {
+            if let Some(data) = lock.flash(config, &mut state.rejects, station, rise, pulse.width.0) {
+                return Some(Light::Sync(lock.sync(station, data)));
+            }
+        }
+        None => {
+            if let Some(sweep) = lock.laser(config, &mut state.rejects, pulse) {
+                return Some(Light::Sweep(sweep));
+            }
+        }
     }
-    light
+    if !lock.is_doubtful() {
+        return None;
+    }
+    state.seek(pulse, false)
 }
 
 /// Says whether the light has been gone too long, where no pulse comes to say so; `now` is later than every pulse.
@@ -306,34 +321,37 @@ pub fn expire(config: &Config, state: &mut State, now: Ticks) -> Option<Light> {
     if state.lock.phase == Phase::Dark || state.lock.follow(config, now) {
         return None;
     }
-    state.give_up()
+    state.give_up().then_some(Light::Lost)
 }
 
 impl State {
     /// Looks for a cycle, or for a better one.
+    fn seek(&mut self, pulse: Pulse, is_over: bool) -> Option<Light> {
+        self.is_lost_by(pulse, is_over).then_some(Light::Lost)
+    }
+
     #[cold]
     #[inline(never)]
-    fn seek(&mut self, pulse: Pulse, is_over: bool) -> Option<Light> {
-        let mut light = if is_over { self.give_up() } else { None };
-        if self.lock.phase == Phase::Dark {
-            self.counts.stray();
+    fn is_lost_by(&mut self, pulse: Pulse, is_over: bool) -> bool {
+        let mut is_lost = is_over && self.give_up();
+        let is_dark = self.lock.phase == Phase::Dark;
+        if is_dark {
+            self.rejects.turn_away(Cause::Stray);
         }
-        if let Some(found) = self.search.step(pulse, self.lock.phase == Phase::Dark) {
-            light = light.or(self.give_up());
-            self.lock.start(&found);
+        if let Some(found) = self.search.step(pulse, is_dark) {
+            is_lost |= self.give_up();
+            self.lock.start(&self.search, &found);
         }
-        light
+        is_lost
     }
 
     /// Whoever knew where the lasers were is told that the cycle is gone.
-    fn give_up(&mut self) -> Option<Light> {
-        let was_locked = self.lock.phase == Phase::Locked;
+    #[inline(never)]
+    fn give_up(&mut self) -> bool {
+        let was_locked = self.lock.phase >= Phase::Placed;
         self.lock.end();
         self.search.clear();
-        if !was_locked {
-            return None;
-        }
-        self.counts.locks_lost = self.counts.locks_lost.wrapping_add(1);
-        Some(Light::Lost)
+        self.locks_lost = self.locks_lost.wrapping_add(u16::from(was_locked));
+        was_locked
     }
 }

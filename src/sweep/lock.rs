@@ -11,9 +11,9 @@
 //! What can go wrong: a flash is missing (its place is predicted), a pulse fits no window (it is no light of ours), the
 //! flashes contradict the place in the cycle (after a few, the place is forgotten and found again).
 
-use super::search::Found;
-use super::width::{Units, WIDTH_BASE_STEPS};
-use super::{Axis, Closed, Config, Counts, HalfTurn, Light, Stamp, Station, Sweep, Sync};
+use super::search::{Found, Search};
+use super::width::{SWEEP_STEPS, Units, WIDTH_BASE_STEPS};
+use super::{Axis, Cause, Closed, Config, HalfTurn, Rejects, Stamp, Station, Sweep, Sync};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
 
@@ -45,7 +45,7 @@ const BIAS_SHIFT: u32 = 3;
 const NEAR_SHIFT: u32 = 6;
 
 /// How much is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Default)]
 pub(super) enum Phase {
     /// Nothing.
     #[default]
@@ -56,6 +56,8 @@ pub(super) enum Phase {
     Train,
     /// One flash train that skips: one of a pair of stations, not known which. [`Lock::slot`] is as if it were A.
     Nameless,
+    /// Which slot is which; not yet a half turn measured over more than one.
+    Placed,
     /// All.
     Locked,
 }
@@ -69,55 +71,80 @@ enum Rest {
     Sweep,
 }
 
+/// One station's flashes.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(C)]
+struct Train {
+    /// Where its flash of this slot begins, and that of the next: each rotor has its own prediction.
+    next: Ticks,
+    later: Ticks,
+    /// 1 where it has flashed in this slot.
+    seen: u32,
+    /// By how much the receiver lengthens its flashes, Q3.
+    bias_q3: i32,
+    /// By how much more its last flash was lengthened than usual, and how much that changes.
+    spread: i32,
+    noise: u32,
+    /// How far its last flash was off.
+    off: i32,
+    /// Flashes understood.
+    syncs: u32,
+}
+
+/// The sweeps of one slot of the cycle, which are those of one rotor.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(C)]
+struct Rotor {
+    /// Where the last one was, after its flash; 0 where that is not known.
+    after: u32,
+    /// Its width.
+    width: u32,
+    /// 1 where the last cycle had none.
+    missed: u32,
+    /// Sweeps understood.
+    sweeps: u32,
+}
+
 /// The cycle, followed by dead reckoning from flash to flash.
 #[derive(Debug, Clone, Default)]
 #[repr(C)]
 pub(super) struct Lock {
-    // In the order of need: a Cortex-M0 reaches the first 31 words cheaply.
+    // In the order of need: a Cortex-M0 reaches the first 31 words cheaply, and of single bytes the first 31.
     pub(super) phase: Phase,
+    /// What the slot that ended last has left to be asked for.
+    rest: Rest,
     /// 0 ..= 3; before the place is known, only its lowest bit means something.
     slot: u32,
-    /// Where the flashes of the slots of either parity begin, `[slot & 1][station]`.
-    next: [[Ticks; 2]; 2],
     units: Units,
-    pub(super) half_turn: HalfTurn,
-    /// How far a flash may be from its prediction.
-    tolerance: u32,
-    /// Stations that flashed in this slot, a bit each.
-    seen: u32,
-    /// By how much the last flash has moved its prediction.
-    moved: i32,
-    /// How far the last flash of each station was off.
-    off: [i32; 2],
-    /// By how much more each station's last flash was lengthened than usual, and how much that changes.
-    spread: [i32; 2],
-    noise: [u32; 2],
-    /// By how much the receiver lengthens each station's flashes, Q3.
-    pub(super) bias_q3: [i32; 2],
-    doubt: u32,
-    rest: Rest,
+    /// Where everything is known and nothing new: off by this much is too far for a flash. 0 otherwise.
+    near: u32,
+    trains: [Train; 2],
     /// The width of the sweep that this slot gave; 0 for none yet.
     chosen: u32,
+    doubt: u32,
+    /// By how much the last flash has moved its prediction.
+    moved: i32,
+    pub(super) dark_slots: u32,
+    /// Half turns since the half turn was measured last.
+    measured_age: u32,
+    /// log2 of the half turns that the next measurement takes; 1 before the first.
+    base_log2: u32,
     /// The width of the best sweep that waits for the end of the slot; 0 for none.
     held: u32,
-    held_after: u32,
-    held_at: Ticks,
-    /// Where each slot's sweep was in the last cycle, after its flash; 0 where that is not known.
-    after: [u32; 4],
-    width: [u32; 4],
-    /// Slots, a bit each, that had no sweep in the last cycle.
-    missed: u32,
-    pub(super) dark_slots: u32,
-    measured: Ticks,
-    /// Half turns since then.
-    measured_age: u32,
-    measured_of: usize,
-    /// How often the half turn has been learnt.
-    measures: u32,
     /// 2 where only A exists, which then sweeps in every slot; 0 otherwise.
     first_slot: u32,
+    /// How far a flash may be from its prediction.
+    tolerance: u32,
+    pub(super) half_turn: HalfTurn,
+    rotors: [Rotor; 4],
+    held_after: u32,
+    held_at: Ticks,
+    measured: Ticks,
+    measured_of: u32,
     /// The sweep that was chosen when its slot ended.
-    late: Option<Sweep>,
+    late_slot: u32,
+    late_after: u32,
+    late_at: Ticks,
     // What the pattern is read from.
     slots: u32,
     /// The newest skips, one bit per slot, and how many of them there are in a row.
@@ -129,33 +156,54 @@ pub(super) struct Lock {
     widest: [u32; 2],
 }
 
+/// Whose turn it is in a slot, and about which axis.
+fn turn(slot: u32) -> (Station, Axis) {
+    let station = if slot & 2 == 0 { Station::B } else { Station::A };
+    (station, if slot & 1 == 0 { Axis::Azimuth } else { Axis::Elevation })
+}
+
 impl Lock {
     /// Begins anew with what the search has found; the receiver is still the same.
-    pub(super) fn start(&mut self, found: &Found) {
-        let half_turn = found.half_turn;
-        let [a, b] = found.newer;
-        let first = [a.start, b.start];
-        let units = Units::of(half_turn.ticks_q8());
-        *self = Self {
-            phase: if found.is_lone { Phase::Train } else { Phase::Pair },
-            next: [first, first.map(|start| start.after(Span(units.half_turn)))],
-            units,
-            half_turn,
-            seen: if found.is_lone { 1 } else { 3 },
-            bias_q3: self.bias_q3,
-            measured: if found.is_lone { a.start } else { b.start },
-            measured_of: usize::from(!found.is_lone),
-            ..Self::default()
-        };
-        self.tolerance = units.half_turn >> FRESH_SHIFT;
-        let widths = |pulses: [Pulse; 2]| pulses.map(|pulse| pulse.width.0);
-        if found.is_lone {
-            self.widths = [a.width.0, found.older[0].width.0];
+    pub(super) fn start(&mut self, search: &Search, found: &Found) {
+        let is_lone = found.is_lone();
+        let (a, b) = (search.pulse(found.second_a), search.pulse(0));
+        let [older_a, older_b] = [found.first_a, found.first_b].map(|age| search.pulse(age).width.0);
+        self.learn_half_turn(found.length << 8);
+        let half_turn = Span(self.units.half_turn);
+        for (train, flash) in self.trains.iter_mut().zip([a, b]) {
+            *train = Train {
+                next: flash.start,
+                later: flash.start.after(half_turn),
+                seen: 1,
+                bias_q3: train.bias_q3,
+                syncs: train.syncs,
+                ..Train::default()
+            };
+        }
+        self.trains[Station::B as usize].seen = u32::from(!is_lone);
+        self.first_slot = 0;
+        self.forget_place();
+        (self.slot, self.moved, self.dark_slots) = (0, 0, 0);
+        (self.measured, self.measured_of, self.measured_age) = (b.start, u32::from(!is_lone), 0);
+        self.base_log2 = 1;
+        self.tolerance = half_turn.0 >> FRESH_SHIFT;
+        if is_lone {
+            self.phase = Phase::Train;
+            self.widths = [b.width.0, older_a];
             self.narrowest = self.widths;
             self.widest = self.widths;
         } else {
-            self.compare(widths(found.older));
-            self.compare(widths(found.newer));
+            self.compare([older_a, older_b]);
+            self.compare([a.width.0, b.width.0]);
+        }
+    }
+
+    /// Takes a half turn of `ticks_q8 / 256` ticks, if it can be one.
+    #[inline(never)]
+    fn learn_half_turn(&mut self, ticks_q8: u32) {
+        if let Some(half_turn) = HalfTurn::from_ticks_q8(ticks_q8) {
+            self.half_turn = half_turn;
+            self.units = Units::of(ticks_q8);
         }
     }
 
@@ -164,7 +212,7 @@ impl Lock {
         match self.phase {
             Phase::Dark => true,
             Phase::Train | Phase::Nameless => true,
-            Phase::Pair | Phase::Locked => self.dark_slots > SURE_SLOTS,
+            Phase::Pair | Phase::Placed | Phase::Locked => self.dark_slots > SURE_SLOTS,
         }
     }
 
@@ -175,20 +223,31 @@ impl Lock {
     }
 
     pub(super) fn width_bias(&self, station: Station) -> Option<i16> {
-        let bias = self.bias_q3[station as usize] >> BIAS_SHIFT;
+        let bias = self.trains[station as usize].bias_q3 >> BIAS_SHIFT;
         let share = i16::try_from(self.half_turn.share(Span(bias.unsigned_abs()))).unwrap_or(i16::MAX);
         (self.units.step != 0).then_some(if bias < 0 { -share } else { share })
+    }
+
+    /// Flashes understood, by station.
+    pub(super) fn syncs(&self) -> [u16; 2] {
+        self.trains.map(|train| train.syncs as u16)
+    }
+
+    /// Sweeps understood, by station and axis.
+    pub(super) fn sweeps(&self) -> [[u16; 2]; 2] {
+        let [b_azimuth, b_elevation, a_azimuth, a_elevation] = self.rotors.map(|rotor| rotor.sweeps as u16);
+        [[a_azimuth, a_elevation], [b_azimuth, b_elevation]]
     }
 
     /// Moves on to the slot that `now` lies in; false when the light has been gone too long.
     #[inline]
     pub(super) fn follow(&mut self, config: &Config, now: Ticks) -> bool {
-        let window = self.units.half_turn >> config.window_shift;
-        let slot_end = self.units.half_turn - window;
         loop {
-            let into = now.offset_from(self.next[(self.slot & 1) as usize][Station::A as usize]);
+            let half_turn = self.units.half_turn;
+            let window = half_turn >> config.window_shift;
+            let into = now.offset_from(self.trains[Station::A as usize].next);
             // A pulse may start a little before the slot it belongs to; far before means the counter went half round.
-            if into < slot_end as i32 {
+            if into < (half_turn - window) as i32 {
                 return into >= -(2 * window as i32);
             }
             if !self.advance(config) {
@@ -200,198 +259,269 @@ impl Lock {
     /// Ends the slot; false when the light has been gone too long.
     #[inline(never)]
     fn advance(&mut self, config: &Config) -> bool {
-        if self.phase == Phase::Locked {
-            self.close_sweeps();
+        self.rest = Rest::Nothing;
+        if self.chosen == 0 && self.is_placed() {
+            self.close_unchosen();
         }
-        let parity = (self.slot & 1) as usize;
-        if self.seen == 0 {
+        self.chosen = 0;
+        if self.trains[0].seen & self.trains[1].seen != 0 && self.near != 0 {
+            self.dark_slots = 0;
+        } else if !self.advance_oddly(config) {
+            return false;
+        }
+        // Nobody flashed in a slot that counts as dark.
+        if self.measured_age >> self.base_log2 != 0 && self.dark_slots == 0 {
+            self.measure();
+        }
+        self.measured_age += 1;
+        let turn = Span(self.units.turn);
+        for train in &mut self.trains {
+            (train.next, train.later) = (train.later, train.next.after(turn));
+            train.seen = 0;
+        }
+        self.slot = (self.slot + 1) & 3 | self.first_slot;
+        true
+    }
+
+    /// The same where a flash is missing or the lock is not sure yet.
+    #[cold]
+    #[inline(never)]
+    fn advance_oddly(&mut self, config: &Config) -> bool {
+        let half_turn = self.units.half_turn;
+        let seen = self.trains.map(|train| train.seen);
+        if seen == [0; 2] {
             self.dark_slots += 1;
             if self.dark_slots > u32::from(config.coast_half_turns) {
                 return false;
             }
             if self.dark_slots > SURE_SLOTS {
-                let wider = self.tolerance + (self.units.half_turn >> SLEW_SHIFT) * 2;
-                self.tolerance = wider.min(self.units.half_turn >> config.window_shift);
+                let wider = self.tolerance + (half_turn >> SLEW_SHIFT) * 2;
+                self.tolerance = wider.min(half_turn >> config.window_shift);
             }
-            self.run = 0;
         } else {
             self.dark_slots = 0;
-            let base = self.units.half_turn >> TOLERANCE_SHIFT;
+            let base = half_turn >> TOLERANCE_SHIFT;
             if self.tolerance > base {
                 self.tolerance = (self.tolerance - self.tolerance / 4).max(base);
             }
-            if self.seen != 3 {
-                // The hidden station moves with the other.
-                let hidden = &mut self.next[parity][(self.seen & 1) as usize];
-                *hidden = Ticks(hidden.0.wrapping_add_signed(self.moved));
-                if self.phase == Phase::Pair {
-                    self.run = 0;
-                }
-            }
-            self.measure(parity);
         }
-        self.measured_age += 1;
+        if seen != [1; 2] {
+            if self.dark_slots == 0 {
+                // The hidden station moves with the other.
+                let hidden = &mut self.trains[seen[0] as usize & 1].next;
+                *hidden = Ticks(hidden.0.wrapping_add_signed(self.moved));
+            }
+            if self.dark_slots != 0 || self.phase == Phase::Pair {
+                self.run = 0;
+            }
+        }
         if self.phase == Phase::Pair {
             self.slots += 1;
-            if self.slots > PATIENCE {
-                return false;
-            }
         }
-        for next in &mut self.next[parity] {
-            *next = next.after(Span(self.units.turn));
-        }
-        self.slot = (self.slot + 1) & 3 | self.first_slot;
-        self.seen = 0;
-        true
+        self.set_near();
+        self.phase != Phase::Pair || self.slots <= PATIENCE
+    }
+
+    /// To be called where the phase, the tolerance or the half turn has changed.
+    #[inline(never)]
+    fn set_near(&mut self) {
+        let base = self.units.half_turn >> TOLERANCE_SHIFT;
+        self.near = if self.phase == Phase::Locked && self.tolerance <= base { base + 1 } else { 0 };
     }
 
     /// Learns the half turn from two flashes of one station that are whole cycles apart.
-    fn measure(&mut self, parity: usize) {
-        let base_log2 = (self.measures + 1).min(BASE_LOG2);
-        let base = 1 << base_log2;
-        if self.measured_age < base {
-            return;
-        }
+    #[cold]
+    #[inline(never)]
+    fn measure(&mut self) {
+        let base_log2 = self.base_log2;
         // The one that is seen, or the clearly sharper one.
-        let other = 1 - self.measured_of;
-        let is_only = self.seen >> self.measured_of & 1 == 0;
-        let is_sharper = self.seen == 3 && self.noise[other] < self.noise[self.measured_of] / 2;
-        let of = if is_only || is_sharper { other } else { self.measured_of };
-        let at = self.next[parity][of];
-        if self.measured_age == base && self.measured_of == of {
+        let mut of = self.measured_of & 1;
+        let [train, other] = [self.trains[of as usize], self.trains[of as usize ^ 1]];
+        if train.seen == 0 || other.seen != 0 && other.noise < train.noise / 2 {
+            of ^= 1;
+        }
+        let at = self.trains[of as usize].next;
+        if self.measured_age == 1 << base_log2 && self.measured_of == of {
             let length = at.since(self.measured).0;
             // 2^n half turns in ticks are one half turn in Qn.
             let seen_q8 = length << (8 - base_log2);
-            let off = seen_q8.wrapping_sub(self.half_turn.ticks_q8()) as i32;
-            let ticks_q8 = self.half_turn.ticks_q8().wrapping_add_signed(off >> u32::from(base_log2 == BASE_LOG2));
-            if let Some(half_turn) = HalfTurn::from_ticks_q8(ticks_q8) {
-                self.half_turn = half_turn;
-                self.units = Units::of(ticks_q8);
+            let ticks_q8 = self.half_turn.ticks_q8();
+            let off = seen_q8.wrapping_sub(ticks_q8) as i32;
+            self.learn_half_turn(ticks_q8.wrapping_add_signed(off >> u32::from(base_log2 == BASE_LOG2)));
+            self.base_log2 = (base_log2 + 1).min(BASE_LOG2);
+            if self.phase == Phase::Placed {
+                self.phase = Phase::Locked;
             }
-            self.measures = (self.measures + 1).min(BASE_LOG2);
         }
-        self.measured = at;
-        self.measured_of = of;
-        self.measured_age = 0;
+        (self.measured, self.measured_of, self.measured_age) = (at, of, 0);
+        self.set_near();
     }
 
-    /// Says what a pulse is that [`Lock::follow`] has found the slot of.
+    /// The flash that a pulse is, of the slot that [`Lock::follow`] has found: whose, and how long after it should.
     #[inline]
-    pub(super) fn place(&mut self, config: &Config, counts: &mut Counts, pulse: Pulse) -> Option<Light> {
+    pub(super) fn flash_at(&self, config: &Config, start: Ticks) -> Option<(Station, i32)> {
         let window = self.units.half_turn >> config.window_shift;
-        let next = self.next[(self.slot & 1) as usize];
-        let after_a = pulse.start.offset_from(next[Station::A as usize]);
-        let after_b = pulse.start.offset_from(next[Station::B as usize]);
-        let (station, rise) =
-            if after_a.unsigned_abs() <= window { (Station::A, after_a) } else { (Station::B, after_b) };
-        if rise.unsigned_abs() <= window {
-            return self.flash(config, counts, station, rise, pulse.width.0);
+        let is_near = |rise: i32| rise.wrapping_add_unsigned(window) as u32 <= 2 * window;
+        let rise = start.offset_from(self.trains[Station::A as usize].next);
+        if is_near(rise) {
+            return Some((Station::A, rise));
         }
-        self.laser(config, counts, pulse)
+        let rise = start.offset_from(self.trains[Station::B as usize].next);
+        is_near(rise).then_some((Station::B, rise))
     }
 
-    /// Whose turn it is, and about which axis.
-    fn turn(&self) -> (Station, Axis) {
-        let station = if self.slot & 2 == 0 { Station::B } else { Station::A };
-        (station, if self.slot & 1 == 0 { Axis::Azimuth } else { Axis::Elevation })
+    /// A flash of `station` with the data bit `data`, in this slot.
+    #[inline]
+    pub(super) fn sync(&self, station: Station, data: bool) -> Sync {
+        let (sweeping, axis) = turn(self.slot);
+        Sync { station, axis, skip: station != sweeping, data }
     }
 
-    /// A pulse that rises `rise` after the station's next flash should.
+    /// How much later a flash falls than it would with a data bit of zero.
+    #[inline(always)]
+    fn fall(&self, station: Station, rise: i32, width: u32) -> i32 {
+        // Bit 0 is the axis, bit 1 the skip; the skip is four steps.
+        let code = (self.slot ^ (station as u32 * 2) ^ 2) as i32;
+        let bare = self.units.step * (WIDTH_BASE_STEPS as i32 + code + (code & 2));
+        rise.wrapping_add_unsigned(width) - bare - (self.trains[station as usize].bias_q3 >> BIAS_SHIFT)
+    }
+
+    /// A pulse that rises `rise` after the station's next flash should; gives its data bit.
     #[inline(never)]
-    fn flash(
+    pub(super) fn flash(
         &mut self,
         config: &Config,
-        counts: &mut Counts,
+        counts: &mut Rejects,
         station: Station,
         rise: i32,
         width: u32,
-    ) -> Option<Light> {
-        let bit = 1 << station as u32;
+    ) -> Option<bool> {
         let step = self.units.step;
-        if self.seen & bit != 0 || width > 16 * step as u32 {
-            counts.misfit();
-            return None;
-        }
-        if self.phase != Phase::Locked {
-            self.learn(config, counts, station, rise, width);
-            return None;
-        }
-        let (sweeping, axis) = self.turn();
-        let skip = station != sweeping;
-        let bare = step * (WIDTH_BASE_STEPS as i32 + (self.slot & 1) as i32 + if skip { 4 } else { 0 });
-        let mut fall = rise + width as i32 - bare - (self.bias_q3[station as usize] >> BIAS_SHIFT);
+        let mut fall = self.fall(station, rise, width);
         let data = fall > step;
         if data {
             fall -= 2 * step;
         }
+        let (rise_off, fall_off) = (rise.unsigned_abs(), fall.unsigned_abs());
+        let mut off = rise;
+        let mut far = rise_off;
+        if fall_off < rise_off {
+            off = fall;
+            far = fall_off;
+        }
+        let train = &mut self.trains[station as usize];
+        let near = self.near;
+        if train.noise >= near || far >= near || fall_off > (step * 3) as u32 >> 1 || train.seen != 0 {
+            return self.flash_oddly(config, counts, station, rise, width);
+        }
+        train.seen = 1;
+        train.syncs += 1;
+        let earlier = core::mem::replace(&mut train.off, off);
+        let slew = (self.units.half_turn >> SLEW_SHIFT) as i32;
+        let mut moved = (off + 1) >> 1;
+        if far > 2 * slew as u32 && (off ^ earlier < 0 || earlier.unsigned_abs() <= 2 * slew as u32) {
+            moved = if off < 0 { -slew } else { slew };
+        }
+        train.next = Ticks(train.next.0.wrapping_add_signed(moved));
+        self.moved = moved;
+        // Once the receiver is known, a flash per cycle is enough to hear of it.
+        if self.slot == station as u32 {
+            train.hear(fall - rise, step, false);
+        }
+        if self.doubt != 0 {
+            self.doubt -= 1;
+        }
+        Some(data)
+    }
+
+    /// The same for a flash that is not where it should be, of a new lock, of a station that is seen to come on late, or
+    /// for what is no flash.
+    #[cold]
+    #[inline(never)]
+    fn flash_oddly(
+        &mut self,
+        config: &Config,
+        counts: &mut Rejects,
+        station: Station,
+        rise: i32,
+        width: u32,
+    ) -> Option<bool> {
+        let Units { half_turn, step, .. } = self.units;
+        let mut fall = self.fall(station, rise, width);
+        let data = fall > step;
+        if data {
+            fall -= 2 * step;
+        }
+        let base = half_turn >> TOLERANCE_SHIFT;
+        let is_new = self.tolerance > base;
+        let is_placed = self.is_placed();
+        let train = &mut self.trains[station as usize];
+        if train.seen != 0 || width > 16 * step as u32 {
+            counts.turn_away(Cause::Misfit);
+            return None;
+        }
+        if !is_placed {
+            self.learn(config, counts, station, rise, width);
+            return None;
+        }
         let spread = fall - rise;
+        let bias_q3 = train.bias_q3;
+        if is_new || self.slot == station as u32 {
+            train.hear(spread, step, is_new);
+        }
+        let learnt_q3 = core::mem::replace(&mut train.bias_q3, bias_q3);
         let mut width_off = spread.unsigned_abs();
         let mut off = if fall.unsigned_abs() < rise.unsigned_abs() { fall } else { rise };
-        let base = (self.units.half_turn >> TOLERANCE_SHIFT) as i32;
-        // Once the receiver is known, a flash per cycle is enough to hear of it.
-        let is_new = self.tolerance > base as u32;
-        let is_told = self.slot == station as u32 || is_new;
-        if is_told {
-            let earlier = core::mem::replace(&mut self.spread[station as usize], spread);
-            let noise = &mut self.noise[station as usize];
-            // One odd flash later on makes no noisy station.
-            *noise += spread.abs_diff(earlier).min((step << if is_new { 3 } else { 0 }) as u32) >> 3;
-            *noise -= *noise >> 3;
-        }
-        if self.noise[station as usize] > base as u32 {
+        let mut earlier = train.off;
+        let is_late = train.noise > base;
+        if is_late {
             off = self.settle(station, rise, fall);
             width_off = 0;
-            self.off[station as usize] = off;
+            earlier = off;
         }
-        let earlier = core::mem::replace(&mut self.off[station as usize], off);
-        let mut moved = (off + 1) >> 1;
-        if off.unsigned_abs() > self.tolerance || fall.unsigned_abs() > (step + step / 2) as u32 {
+        let train = &mut self.trains[station as usize];
+        train.off = off;
+        let mut moved = off;
+        if off.unsigned_abs() > self.tolerance || fall.unsigned_abs() > (step * 3) as u32 >> 1 {
             // Two in a row that say the same, of the right width, are where the flashes are now.
-            let is_odd = width_off > step as u32 || off.abs_diff(earlier) > base as u32;
-            if is_odd {
-                counts.misfit();
+            if width_off > step as u32 || off.abs_diff(earlier) > base {
+                counts.turn_away(Cause::Misfit);
                 self.doubt += CONTRADICTION;
                 if self.doubt >= DOUBT {
                     self.forget_place();
                 }
                 return None;
             }
-            moved = off;
         } else if is_new {
-            moved = off;
-            self.bias_q3[station as usize] += spread * 4;
+            train.bias_q3 += spread * 4;
         } else {
-            let slew = (self.units.half_turn >> SLEW_SHIFT) as i32;
-            if moved.unsigned_abs() > slew as u32 && (off ^ earlier < 0 || earlier.unsigned_abs() <= 2 * slew as u32) {
-                moved = moved.clamp(-slew, slew);
-            }
-            if is_told && spread.unsigned_abs() <= step as u32 {
-                self.bias_q3[station as usize] += spread;
-            }
+            train.bias_q3 += learnt_q3 - bias_q3;
+            moved = (off + 1) >> 1;
         }
         self.doubt = self.doubt.saturating_sub(1);
         self.moved = moved;
-        let next = &mut self.next[(self.slot & 1) as usize][station as usize];
-        *next = Ticks(next.0.wrapping_add_signed(moved));
-        self.seen |= bit;
+        train.next = Ticks(train.next.0.wrapping_add_signed(moved));
+        train.seen = 1;
         // A half turn that only the search has measured, from two flashes, may be off by as much as a flash.
-        if self.measures == 0 {
+        if self.phase != Phase::Locked {
             return None;
         }
-        counts.sync(station);
-        Some(Light::Sync(Sync { station, axis, skip, data }))
+        train.syncs += 1;
+        Some(data)
     }
 
     /// A station whose light is seen to come on late, each time by something else: only the falls tell where its flashes
     /// are. Its bias cannot be known and goes to zero; no rise is early.
-    #[cold]
-    #[inline(never)]
     fn settle(&mut self, station: Station, rise: i32, fall: i32) -> i32 {
-        let leak = self.bias_q3[station as usize] / 2;
-        self.bias_q3[station as usize] -= leak;
-        let next = &mut self.next[(self.slot & 1) as usize][station as usize];
-        *next = Ticks(next.0.wrapping_add_signed(leak >> BIAS_SHIFT));
+        let train = &mut self.trains[station as usize];
+        let leak = train.bias_q3 / 2;
+        train.bias_q3 -= leak;
+        train.next = Ticks(train.next.0.wrapping_add_signed(leak >> BIAS_SHIFT));
         if rise < -self.units.step / 2 { rise } else { fall }
+    }
+
+    fn is_placed(&self) -> bool {
+        matches!(self.phase, Phase::Placed | Phase::Locked)
     }
 
     /// The place in the cycle is wrong: back to the pattern.
@@ -399,34 +529,34 @@ impl Lock {
     #[inline(never)]
     fn forget_place(&mut self) {
         self.phase = if self.first_slot == 0 { Phase::Pair } else { Phase::Train };
-        (self.first_slot, self.slots, self.run, self.doubt) = (0, 0, 0, 0);
+        (self.near, self.first_slot, self.slots, self.run, self.doubt) = (0, 0, 0, 0, 0);
         (self.narrowest, self.widest, self.ever_skipped) = ([u32::MAX; 2], [0; 2], false);
-        (self.after, self.held, self.chosen, self.rest) = ([0; 4], 0, 0, Rest::Nothing);
+        (self.held, self.chosen, self.rest) = (0, 0, Rest::Nothing);
+        for rotor in &mut self.rotors {
+            rotor.after = 0;
+        }
     }
 
     /// A flash while the place in the cycle is not known.
-    #[cold]
     #[inline(never)]
-    fn learn(&mut self, config: &Config, counts: &mut Counts, station: Station, rise: i32, width: u32) {
+    fn learn(&mut self, config: &Config, counts: &mut Rejects, station: Station, rise: i32, width: u32) {
+        let train = &mut self.trains[station as usize];
         if !self.units.is_sync(Span(width)) {
-            counts.misfit();
+            counts.turn_away(Cause::Misfit);
             return;
         }
-        let parity = (self.slot & 1) as usize;
-        self.seen |= 1 << station as u32;
+        train.seen = 1;
+        train.noise += rise.unsigned_abs();
+        train.next = Ticks(train.next.0.wrapping_add_signed(rise));
         self.moved = rise;
-        self.noise[station as usize] += rise.unsigned_abs();
-        let next = &mut self.next[parity][station as usize];
-        *next = Ticks(next.0.wrapping_add_signed(rise));
         if self.phase == Phase::Pair {
             self.widths[station as usize] = width;
             // B comes second.
-            if self.seen == 3 {
+            if self.trains[0].seen & self.trains[1].seen != 0 {
                 self.compare(self.widths);
             }
         } else {
-            self.next[parity][Station::B as usize] = *next;
-            self.compare_turns(parity, width);
+            self.compare_turns(width);
             if self.phase == Phase::Nameless
                 && let Some(station) = config.lone
             {
@@ -436,6 +566,7 @@ impl Lock {
     }
 
     /// Holds the two flashes of a slot against each other: only one of them skips.
+    #[inline(never)]
     fn compare(&mut self, [a, b]: [u32; 2]) {
         if a.abs_diff(b) <= self.units.step as u32 / 2 {
             self.run = 0;
@@ -445,8 +576,9 @@ impl Lock {
     }
 
     /// Holds the flashes of a rotor against each other: it skips every second turn, or it is alone and never does.
-    fn compare_turns(&mut self, parity: usize, width: u32) {
+    fn compare_turns(&mut self, width: u32) {
         let step = self.units.step as u32;
+        let parity = (self.slot & 1) as usize;
         let earlier = core::mem::replace(&mut self.widths[parity], width);
         self.narrowest[parity] = self.narrowest[parity].min(width);
         self.widest[parity] = self.widest[parity].max(width);
@@ -470,6 +602,7 @@ impl Lock {
     }
 
     /// Takes one more skip of A, or of a lone train, and looks for the cycle in the latest: skip, skip, sweep, sweep.
+    #[inline(never)]
     fn note_skip(&mut self, skip: bool) {
         self.skips = self.skips << 1 | u32::from(skip);
         self.run += 1;
@@ -493,17 +626,20 @@ impl Lock {
 
     fn set_slot(&mut self, slot: u32) {
         if (slot ^ self.slot) & 1 != 0 {
-            self.next.swap(0, 1);
             self.widths.swap(0, 1);
         }
         self.slot = slot;
     }
 
+    #[inline(never)]
     fn lock(&mut self, slot: u32) {
         self.set_slot(slot);
-        self.phase = Phase::Locked;
-        self.noise = [0; 2];
+        self.phase = if self.base_log2 == 1 { Phase::Placed } else { Phase::Locked };
+        for train in &mut self.trains {
+            train.noise = 0;
+        }
         self.tolerance = self.units.half_turn >> FRESH_SHIFT;
+        self.near = 0;
     }
 
     /// Says whose flashes the lone train is. The other station may be seen later.
@@ -512,83 +648,110 @@ impl Lock {
             return;
         }
         // A cable-synced pair's gap is a twentieth, 0.05; this is 0.0488, near enough for every window.
-        let gap = (self.units.half_turn >> 5) + (self.units.half_turn >> 6) + (self.units.half_turn >> 9);
-        for next in &mut self.next {
-            let train = next[Station::A as usize];
-            *next = match station {
-                Station::A => [train, train.after(Span(gap))],
-                Station::B => [train.before(Span(gap)), train],
-            };
+        let half_turn = self.units.half_turn;
+        let gap = Span((half_turn >> 5) + (half_turn >> 6) + (half_turn >> 9));
+        let [a, b] = &mut self.trains;
+        *b = Train { bias_q3: b.bias_q3, syncs: b.syncs, seen: 0, ..*a };
+        match station {
+            Station::A => (b.next, b.later) = (a.next.after(gap), a.later.after(gap)),
+            Station::B => {
+                (a.next, a.later) = (a.next.before(gap), a.later.before(gap));
+                (a.seen, b.seen) = (0, a.seen);
+            }
         }
         // B skips where A sweeps.
         self.lock(if station == Station::A { self.slot } else { self.slot ^ 2 });
-        self.seen = 1 << station as u32;
     }
 
     /// A pulse between the flashes.
-    #[inline(never)]
-    fn laser(&mut self, config: &Config, counts: &mut Counts, pulse: Pulse) -> Option<Light> {
-        if self.phase != Phase::Locked || self.measures == 0 {
-            counts.stray();
-            return None;
-        }
+    #[inline]
+    pub(super) fn laser(&mut self, config: &Config, counts: &mut Rejects, pulse: Pulse) -> Option<Sweep> {
         let width = pulse.width.0;
-        let half_turn = self.units.half_turn;
-        if width > self.units.sweep_max() {
-            counts.long();
-            return None;
-        }
-        if width < (half_turn * config.shortest_sweep) >> 13 {
-            counts.short();
-            return None;
-        }
-        let (station, axis) = self.turn();
+        let (station, axis) = turn(self.slot);
         let at = match config.stamp {
             Stamp::Middle => pulse.start.after(Span(width / 2)),
             Stamp::Rise => pulse.start,
         };
-        let slot = self.slot as usize & 3;
-        let after = at.since(self.next[slot & 1][station as usize]).0;
-        // The rotor lights 30 to 150 degrees. Two degrees more to either side leave room for its factory phase: the
-        // angle stage knows that and draws the exact line.
-        if after.wrapping_sub((half_turn >> 5) * 5) > (half_turn >> 5) * 22 {
-            counts.stray();
-            return None;
-        }
-        if self.chosen != 0 {
-            counts.second();
-            // The wrong one was given away: compare the next time.
-            if width > self.chosen + self.chosen / 2 {
-                self.after[slot] = 0;
-            }
-            return None;
-        }
-        let apart = after.abs_diff(self.after[slot]);
-        if apart > half_turn >> NEAR_SHIFT || 2 * width < self.width[slot] || self.held > width {
-            self.hold(counts, at, after, width);
-            return None;
-        }
-        self.choose(width, after);
-        // Nobody asked for what the slot before has left; now it would come too late.
-        self.rest = Rest::Nothing;
-        counts.sweep(station, axis);
-        Some(Light::Sweep(Sweep { station, axis, at, since_sync: Span(after), half_turn: self.half_turn }))
+        let after = at.since(self.trains[station as usize].next).0;
+        self.is_sweep(config, counts, at, after, width).then_some(Sweep {
+            station,
+            axis,
+            at,
+            since_sync: Span(after),
+            half_turn: self.half_turn,
+        })
     }
 
-    fn choose(&mut self, width: u32, after: u32) {
-        let slot = self.slot as usize & 3;
-        self.chosen = width;
-        self.width[slot] = width;
-        self.after[slot] = after;
+    /// Whether that is where this slot's sweep is expected; if so it is taken.
+    #[inline(never)]
+    fn is_sweep(&mut self, config: &Config, counts: &mut Rejects, at: Ticks, after: u32, width: u32) -> bool {
+        let Units { half_turn, step, .. } = self.units;
+        let cause = if self.phase != Phase::Locked {
+            Cause::Stray
+        } else if width > SWEEP_STEPS * step as u32 {
+            Cause::Long
+        } else if width < (half_turn * config.shortest_sweep) >> 13 {
+            Cause::Short
+        } else if after.wrapping_sub((half_turn >> 5) * 5) > (half_turn >> 5) * 22 {
+            // The rotor lights 30 to 150 degrees. Two degrees more to either side leave room for its factory phase: the
+            // angle stage knows that and draws the exact line.
+            Cause::Stray
+        } else {
+            if self.chosen | self.held != 0 && !self.is_better(counts, at, after, width) {
+                return false;
+            }
+            let rotor = &mut self.rotors[self.slot as usize & 3];
+            let far = after.abs_diff(rotor.after);
+            if far > half_turn >> NEAR_SHIFT {
+                self.hold(counts, at, after, width);
+                return false;
+            }
+            if 2 * width < rotor.width {
+                self.hold(counts, at, after, width);
+                return false;
+            }
+            rotor.choose(after, width);
+            rotor.sweeps += 1;
+            self.chosen = width;
+            if self.held != 0 {
+                // It waited in vain, and must not wait in the next slot.
+                self.held = 0;
+                counts.turn_away(Cause::Second);
+            }
+            // Nobody asked for what the slot before has left; now it would come too late.
+            self.rest = Rest::Nothing;
+            return true;
+        };
+        counts.turn_away(cause);
+        false
+    }
+
+    /// Whether a pulse like a sweep may be it where there was one already.
+    #[cold]
+    #[inline(never)]
+    fn is_better(&mut self, counts: &mut Rejects, at: Ticks, after: u32, width: u32) -> bool {
+        if self.chosen == 0 {
+            if self.held <= width {
+                return true;
+            }
+            self.hold(counts, at, after, width);
+            return false;
+        }
+        // The wrong one was given away: compare the next time.
+        if width > self.chosen + self.chosen / 2 {
+            self.rotors[self.slot as usize & 3].after = 0;
+        }
+        counts.turn_away(Cause::Second);
+        false
     }
 
     /// Keeps the better of two until the slot ends: the clearly longer one, else the one nearer to the expected.
     #[cold]
     #[inline(never)]
-    fn hold(&mut self, counts: &mut Counts, at: Ticks, after: u32, width: u32) {
+    fn hold(&mut self, counts: &mut Rejects, at: Ticks, after: u32, width: u32) {
         if self.held != 0 {
-            counts.second();
-            let expected = self.after[self.slot as usize & 3];
+            counts.turn_away(Cause::Second);
+            let expected = self.rotors[self.slot as usize & 3].after;
             let is_alike = width.abs_diff(self.held) <= self.held / 4;
             let is_better = if is_alike {
                 expected != 0 && after.abs_diff(expected) < self.held_after.abs_diff(expected)
@@ -602,51 +765,58 @@ impl Lock {
         (self.held, self.held_after, self.held_at) = (width, after, at);
     }
 
-    /// The slot ends: what waited is chosen, and where nothing came, soon nothing is expected.
-    #[inline]
-    fn close_sweeps(&mut self) {
-        self.rest = Rest::Nothing;
-        let bit = 1 << self.slot;
-        if self.chosen == 0 {
-            self.close_unchosen(bit);
-        } else {
-            self.missed &= !bit;
-        }
-        self.chosen = 0;
-    }
-
+    /// The slot ends without a sweep: what waited is chosen, and where nothing came, soon nothing is expected.
     #[cold]
     #[inline(never)]
-    fn close_unchosen(&mut self, bit: u32) {
+    fn close_unchosen(&mut self) {
+        let rotor = &mut self.rotors[self.slot as usize & 3];
         if self.held == 0 {
             self.rest = Rest::Dark;
-            if self.missed & bit != 0 {
-                self.after[self.slot as usize & 3] = 0;
+            if rotor.missed != 0 {
+                rotor.after = 0;
             }
-            self.missed |= bit;
+            rotor.missed = 1;
             return;
         }
-        let (station, axis) = self.turn();
         self.rest = Rest::Sweep;
-        self.missed &= !bit;
-        let (width, after) = (core::mem::take(&mut self.held), self.held_after);
-        self.choose(width, after);
-        self.late = Some(Sweep { station, axis, at: self.held_at, since_sync: Span(after), half_turn: self.half_turn });
+        rotor.choose(self.held_after, core::mem::take(&mut self.held));
+        (self.late_slot, self.late_after, self.late_at) = (self.slot, self.held_after, self.held_at);
     }
 
     /// What the slot that ended last has left; said once.
     #[inline]
-    pub(super) fn take_closed(&mut self, counts: &mut Counts) -> Option<Closed> {
-        if self.rest == Rest::Nothing {
-            return None;
-        }
+    pub(super) fn take_closed(&mut self) -> Option<Closed> {
         match core::mem::take(&mut self.rest) {
+            Rest::Nothing => None,
             Rest::Dark => Some(Closed::Dark(self.half_turn)),
-            _ => {
-                let sweep = self.late.take()?;
-                counts.sweep(sweep.station, sweep.axis);
-                Some(Closed::Sweep(sweep))
+            Rest::Sweep => {
+                let slot = self.late_slot;
+                self.rotors[slot as usize & 3].sweeps += 1;
+                let (station, axis) = turn(slot);
+                let since_sync = Span(self.late_after);
+                Some(Closed::Sweep(Sweep { station, axis, at: self.late_at, since_sync, half_turn: self.half_turn }))
             }
         }
+    }
+}
+
+impl Train {
+    /// Learns from how much more than usual a flash was lengthened.
+    #[inline(never)]
+    fn hear(&mut self, spread: i32, step: i32, is_new: bool) {
+        let step = step as u32;
+        let earlier = core::mem::replace(&mut self.spread, spread);
+        // One odd flash later on makes no noisy station.
+        self.noise += spread.abs_diff(earlier).min(if is_new { step << 3 } else { step }) >> 3;
+        self.noise -= self.noise >> 3;
+        if spread.unsigned_abs() <= step {
+            self.bias_q3 += spread;
+        }
+    }
+}
+
+impl Rotor {
+    fn choose(&mut self, after: u32, width: u32) {
+        (self.after, self.width, self.missed) = (after, width, 0);
     }
 }

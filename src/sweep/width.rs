@@ -14,7 +14,7 @@ pub(super) const WIDTH_BASE_STEPS: u32 = 6;
 /// 135.4 us + 10 us.
 const WIDTH_ACCEPTED_STEPS: (u32, u32) = (5, 14);
 /// The longest width accepted as a sweep, in steps: 41.7 us. Real sweeps stay under 20 us.
-const SWEEP_STEPS: u32 = 4;
+pub(super) const SWEEP_STEPS: u32 = 4;
 
 /// The axis, data and skip bits whose nominal width is nearest to `width`, for a half turn of `half_turn`.
 ///
@@ -49,22 +49,26 @@ pub(super) struct Units {
 impl Units {
     /// For a half turn of `ticks_q8 / 256` ticks, at most `HalfTurn::MAX_TICKS`.
     pub(super) fn of(ticks_q8: u32) -> Self {
-        // 2^20 / 800 = 1310.72, the reciprocal of the steps in a half turn.
-        const STEP_Q20: u32 = (1 << 20) / WIDTH_STEPS_PER_HALF_TURN;
         let half_turn = (ticks_q8 + (1 << 7)) >> 8;
-        // At most 2^20 ticks by 2^11.
-        let step = (half_turn * STEP_Q20 + (1 << 19)) >> 20;
-        Self { half_turn, turn: (ticks_q8 + (1 << 6)) >> 7, step: step as i32 }
+        Self { half_turn, turn: (ticks_q8 + (1 << 6)) >> 7, step: step(half_turn) as i32 }
     }
 
     /// Whether `width` may be a flash for a receiver of which nothing is known.
     pub(super) fn is_sync(&self, width: Span) -> bool {
-        let step = self.step as u32;
-        width.0 >= step * WIDTH_ACCEPTED_STEPS.0 && width.0 <= step * WIDTH_ACCEPTED_STEPS.1
+        is_sync(self.half_turn, width)
     }
+}
 
-    /// The longest sweep.
-    pub(super) fn sweep_max(&self) -> u32 {
-        self.step as u32 * SWEEP_STEPS
-    }
+/// A step of the widths, for a half turn of at most 2^20 ticks.
+fn step(half_turn: u32) -> u32 {
+    // 2^20 / 800 = 1310.72, the reciprocal of the steps in a half turn; at most 2^20 ticks by 2^11.
+    const STEP_Q20: u32 = (1 << 20) / WIDTH_STEPS_PER_HALF_TURN;
+    (half_turn * STEP_Q20 + (1 << 19)) >> 20
+}
+
+/// Whether `width` may be a flash for a receiver of which nothing is known, of a half turn of at most 2^20 ticks.
+#[inline(never)]
+pub(super) fn is_sync(half_turn: u32, width: Span) -> bool {
+    let step = step(half_turn);
+    width.0 >= step * WIDTH_ACCEPTED_STEPS.0 && width.0 <= step * WIDTH_ACCEPTED_STEPS.1
 }

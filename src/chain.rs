@@ -449,12 +449,10 @@ impl Ear {
     /// Takes the bit of a flash at `at`; gives the block that it completes.
     fn hear(&mut self, config: &ootx::Config, bit: bool, at: Ticks, half_turn: HalfTurn) -> Option<ootx::Block> {
         // The flashes of a slot are a twentieth of a half turn apart, so rounding tells how many slots went by.
-        let slots = self.at.replace(at).map_or(u32::MAX, |before| {
-            half_turn.share(at.since(before)).saturating_add(1 << (sweep::HALF_TURN_BITS - 1)) >> sweep::HALF_TURN_BITS
-        });
-        let missed = slots.saturating_sub(1);
-        if missed > 0 {
-            ootx::gap(&mut self.ootx, u8::try_from(missed).unwrap_or(u8::MAX));
+        let half_turns = half_turn.span().0;
+        let since = self.at.replace(at).map(|before| at.since(before));
+        if since.is_none_or(|since| since.0 > half_turns + half_turns / 2) {
+            ootx::gap(&mut self.ootx, missed(since, half_turn));
         }
         let Some(ootx::Outcome::Good(block)) = ootx::step(config, &mut self.ootx, bit) else { return None };
         self.known = Some(Known { id: block.id(), mode: block.mode(), faults: block.faults() });
@@ -466,6 +464,16 @@ impl Ear {
         self.at = None;
         self.known = None;
     }
+}
+
+/// Flashes missed between two that were seen, or ever since; 255 for more.
+#[cold]
+#[inline(never)]
+fn missed(since: Option<Span>, half_turn: HalfTurn) -> u8 {
+    let slots = since.map_or(u32::MAX, |since| {
+        half_turn.share(since).saturating_add(1 << (sweep::HALF_TURN_BITS - 1)) >> sweep::HALF_TURN_BITS
+    });
+    u8::try_from(slots.saturating_sub(1)).unwrap_or(u8::MAX)
 }
 
 /// Sweeps as measured, gathered until they fill a frame: [`Estimate::Angles`].

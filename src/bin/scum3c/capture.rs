@@ -70,7 +70,9 @@ pub fn lost() -> u16 {
 pub struct Capture(());
 
 /// The reader's end.
-pub struct Reader(());
+pub struct Reader {
+    most: u32,
+}
 
 /// Waits for light; to be called once, while interrupts are off.
 ///
@@ -78,7 +80,7 @@ pub struct Reader(());
 pub fn start() -> (Capture, Reader) {
     nvic::ICER.write(FALL);
     nvic::ISER.write(RISE);
-    (Capture(()), Reader(()))
+    (Capture(()), Reader { most: 0 })
 }
 
 impl Capture {
@@ -107,24 +109,27 @@ impl Capture {
 
 impl Reader {
     /// Whether there is no pulse to read.
-    #[inline]
+    #[inline(always)]
     pub fn is_empty(&self) -> bool {
         QUEUE.read.load(Ordering::Relaxed) == QUEUE.written.load(Ordering::Relaxed)
     }
 
-    /// Pulses not yet read.
-    #[inline]
-    pub fn waiting(&self) -> u8 {
-        QUEUE.written.load(Ordering::Relaxed).wrapping_sub(QUEUE.read.load(Ordering::Relaxed)) as u8
+    /// The most pulses that ever waited.
+    pub const fn most(&self) -> u8 {
+        self.most as u8
     }
 
     /// The oldest pulse not yet read.
-    #[inline]
+    #[inline(always)]
     pub fn next(&mut self) -> Option<Pulse> {
-        if self.is_empty() {
+        let read = QUEUE.read.load(Ordering::Relaxed);
+        let waiting = QUEUE.written.load(Ordering::Relaxed).wrapping_sub(read);
+        if waiting == 0 {
             return None;
         }
-        let read = QUEUE.read.load(Ordering::Relaxed);
+        if waiting > self.most {
+            self.most = waiting;
+        }
         compiler_fence(Ordering::Acquire);
         let [rise, fall] = &QUEUE.pulses[read as usize % LEN];
         let start = Ticks(rise.load(Ordering::Relaxed));

@@ -18,6 +18,8 @@ pub struct Queue<T, const N: usize> {
     written: AtomicU32,
     /// Entries ever read, wrapping. The reader's.
     read: AtomicU32,
+    /// The most that ever waited. The writer's.
+    most: AtomicU32,
     entries: UnsafeCell<[MaybeUninit<T>; N]>,
 }
 
@@ -46,17 +48,12 @@ impl<T: Copy, const N: usize> Queue<T, N> {
     pub const fn new() -> Self {
         const { assert!(N.is_power_of_two(), "the index is a mask") };
         let entries = UnsafeCell::new([const { MaybeUninit::zeroed() }; N]);
-        Self { written: AtomicU32::new(0), read: AtomicU32::new(0), entries }
+        Self { written: AtomicU32::new(0), read: AtomicU32::new(0), most: AtomicU32::new(0), entries }
     }
 
     /// The two ends.
     pub fn split(&'static mut self) -> (Writer<T, N>, Reader<T, N>) {
         (Writer(self), Reader(self))
-    }
-
-    #[inline(always)]
-    fn waiting(&self) -> u8 {
-        self.written.load(Ordering::Relaxed).wrapping_sub(self.read.load(Ordering::Relaxed)) as u8
     }
 
     #[inline(always)]
@@ -67,10 +64,9 @@ impl<T: Copy, const N: usize> Queue<T, N> {
 }
 
 impl<T: Copy, const N: usize> Writer<T, N> {
-    /// Entries that wait.
-    #[inline(always)]
-    pub fn waiting(&self) -> u8 {
-        self.0.waiting()
+    /// The most entries that ever waited.
+    pub fn most(&self) -> u8 {
+        self.0.most.load(Ordering::Relaxed) as u8
     }
 
     /// Appends `entry`; false where there is no room for it.
@@ -97,8 +93,12 @@ impl<T: Copy, const N: usize> Writer<T, N> {
     #[inline(always)]
     fn append(&mut self, write: impl FnOnce(&mut MaybeUninit<T>)) -> bool {
         let written = self.0.written.load(Ordering::Relaxed);
-        if written.wrapping_sub(self.0.read.load(Ordering::Relaxed)) >= N as u32 {
+        let waiting = written.wrapping_sub(self.0.read.load(Ordering::Relaxed));
+        if waiting >= N as u32 {
             return false;
+        }
+        if waiting >= self.0.most.load(Ordering::Relaxed) {
+            self.0.most.store(waiting + 1, Ordering::Relaxed);
         }
         compiler_fence(Ordering::Acquire);
         // SAFETY: not between `read` and `written`, so the writer's, and there is one writer, borrowed.
@@ -110,10 +110,14 @@ impl<T: Copy, const N: usize> Writer<T, N> {
 }
 
 impl<T: Copy, const N: usize> Reader<T, N> {
-    /// Entries that wait.
-    #[inline(always)]
-    pub fn waiting(&self) -> u8 {
-        self.0.waiting()
+    /// The most entries that ever waited.
+    pub fn most(&self) -> u8 {
+        self.0.most.load(Ordering::Relaxed) as u8
+    }
+
+    /// Whether more than one waits.
+    pub fn has_several(&self) -> bool {
+        self.0.written.load(Ordering::Relaxed).wrapping_sub(self.0.read.load(Ordering::Relaxed)) > 1
     }
 
     /// The oldest entry.

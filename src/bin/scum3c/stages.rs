@@ -49,13 +49,12 @@ pub struct Classify {
     owed: Option<Sighting>,
     tales: Writer<Told, TOLD>,
     uptime: u32,
-    pulses_waiting: u8,
 }
 
 impl Classify {
     /// Reads `pulses`, writes `sightings` and `tales`.
     pub fn new(pulses: capture::Reader, sightings: Writer<Sighting, SIGHTINGS>, tales: Writer<Told, TOLD>) -> Self {
-        Self { classifier: Classifier::default(), pulses, sightings, owed: None, tales, uptime: 0, pulses_waiting: 0 }
+        Self { classifier: Classifier::default(), pulses, sightings, owed: None, tales, uptime: 0 }
     }
 
     /// Takes the oldest pulse.
@@ -64,7 +63,6 @@ impl Classify {
     /// rare second call.
     #[inline(always)]
     pub fn run(&mut self, config: &Config) -> Done {
-        self.pulses_waiting = self.pulses_waiting.max(self.pulses.waiting());
         let passed_on = match self.pulses.next() {
             Some(pulse) => match self.classifier.pulse(config, pulse) {
                 Some(sighting) => self.pass_on(sighting),
@@ -86,7 +84,7 @@ impl Classify {
         }
         let understood = self.classifier.understood(now);
         // Dropped where the second stage did not get to the one before: the next one says the same.
-        let _ = self.tales.push(Told { understood, uptime: self.uptime, pulses_waiting: self.pulses_waiting });
+        let _ = self.tales.push(Told { understood, uptime: self.uptime, pulses_waiting: self.pulses.most() });
     }
 
     /// A second by the rotors, while they are seen.
@@ -137,7 +135,6 @@ pub struct Solve {
     sightings: Reader<Sighting, SIGHTINGS>,
     tales: Reader<Told, TOLD>,
     frames: Frames,
-    sightings_waiting: u8,
     /// Why the mote started, and where it was then.
     reset: (Reset, u32),
 }
@@ -150,15 +147,7 @@ impl Solve {
         frames: Frames,
         reset: (Reset, u32),
     ) -> Self {
-        Self {
-            solver: Solver::default(),
-            batch: Batch::default(),
-            sightings,
-            tales,
-            frames,
-            sightings_waiting: 0,
-            reset,
-        }
+        Self { solver: Solver::default(), batch: Batch::default(), sightings, tales, frames, reset }
     }
 
     /// Takes the oldest sighting, or what was told where there is none; one at a time as [`Classify::run`].
@@ -168,7 +157,6 @@ impl Solve {
             let passed_on = self.is_free_to_tell() && self.tell(config);
             return Done { passed_on, more: false };
         };
-        self.sightings_waiting = self.sightings_waiting.max(self.sightings.waiting());
         if sighting.seen == Seen::Lost {
             defmt::warn!("light lost; edges {=u16}, pulses {=u16}", sighting.edges_lost, sighting.pulses_lost);
         }
@@ -194,7 +182,7 @@ impl Solve {
     /// Whether to tell without waiting for a report: none is to be expected, or none has come for a second.
     #[inline(always)]
     fn is_free_to_tell(&self) -> bool {
-        self.tales.oldest().is_some_and(|told| !told.understood.is_locked() || self.tales.waiting() > 1)
+        self.tales.oldest().is_some_and(|told| !told.understood.is_locked() || self.tales.has_several())
     }
 
     /// Makes a frame of what the first stage told; whether it did.
@@ -204,7 +192,7 @@ impl Solve {
         let mut health = self.solver.health(config, &told.understood);
         health.uptime = told.uptime;
         (health.reset, health.reset_detail) = self.reset;
-        health.waiting = [told.pulses_waiting, self.sightings_waiting, self.frames.waiting];
+        health.waiting = [told.pulses_waiting, self.sightings.most(), self.frames.queue.most()];
         health.rejects.edges = health.rejects.edges.wrapping_add(capture::lost());
         health.rejects.reports = self.frames.lost();
         self.tales.pop();
@@ -217,14 +205,12 @@ pub struct Frames {
     queue: Writer<Aligned, { radio::FRAMES }>,
     header: Header,
     lost: u16,
-    /// The most that ever waited.
-    waiting: u8,
 }
 
 impl Frames {
     /// Writes `queue` as `header` says, its sequence the first.
     pub const fn new(queue: Writer<Aligned, { radio::FRAMES }>, header: Header) -> Self {
-        Self { queue, header, lost: 0, waiting: 0 }
+        Self { queue, header, lost: 0 }
     }
 
     /// Frames that there was no room for, or that the radio gave up, wrapping.
@@ -238,7 +224,6 @@ impl Frames {
         let sent = self.queue.fill(|frame| emit(frame, self.header));
         let count = if sent { &mut self.header.sequence } else { &mut self.lost };
         *count = count.wrapping_add(1);
-        self.waiting = self.waiting.max(self.queue.waiting());
         sent
     }
 

@@ -7,7 +7,7 @@
 use libfuzzer_sys::fuzz_target;
 use lighthouse_mote::chain::{Chain, Config, Estimate};
 use lighthouse_mote::edge::Edge;
-use lighthouse_mote::frame::{Header, Report, emit, parse};
+use lighthouse_mote::frame::{Header, Message, Report, emit, emit_health, parse};
 use lighthouse_mote::sweep::Stamp;
 use lighthouse_mote::time::{Span, Ticks};
 
@@ -27,6 +27,8 @@ const CLOCKS: [u64; 8] =
     [10_000_000, 10_820_000, 5_000_000, 20_000_000, 16_000_000, 1_000_000, 48_000_000, 124_000_000];
 /// Half turns that one input may play, so that each run is short.
 const SLOTS: u64 = 4_000;
+
+const HEADER: Header = Header { pan: room::PAN, mote: room::MOTE, sequence: 7 };
 
 /// A pulse in 1/48 us: its start from the beginning of the slot, and its width.
 type Pulse = (u64, u64);
@@ -90,8 +92,7 @@ impl Mote {
 /// What goes onto the air comes back from it.
 fn check(report: Option<Report>) {
     if let Some(report) = report {
-        let header = Header { pan: room::PAN, mote: room::MOTE, sequence: 7 };
-        assert_eq!(parse(&emit(header, &report)), Ok((header, report)));
+        assert_eq!(parse(&emit(HEADER, &report)), Ok((HEADER, Message::Fix(report))));
     }
 }
 
@@ -154,6 +155,8 @@ fn run(input: &mut Input<'_>) -> Option<()> {
                 let now = mote.ticks(mote.slot_start);
                 let report = mote.chain.expire(&mote.config, now);
                 check(report);
+                let health = mote.chain.health(&mote.config, now);
+                assert_eq!(parse(&emit_health(HEADER, &health)), Ok((HEADER, Message::Health(health))));
             }
             6 => mote.sweep_after[(low >> 1 & 1) as usize][(low & 1) as usize] = input.u16()? * HALF_TURN >> 16,
             _ => {

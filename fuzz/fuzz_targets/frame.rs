@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lighthouse_mote::frame::{Header, Report, emit, fcs, parse};
+use lighthouse_mote::frame::{ANGLES_LEN, Header, Message, Report, emit, emit_angles, emit_health, fcs, parse};
 
 /// Bytes of a frame that say who sends it, the kind of report left out (`frame`'s table).
 const ADDRESSED: usize = 12;
@@ -27,7 +27,11 @@ fn checked(mut bytes: Vec<u8>) -> Vec<u8> {
 }
 
 fn read(bytes: &[u8]) {
-    if let Ok((header, report)) = parse(bytes) {
-        assert_eq!(emit(header, &report), bytes, "{header:?} {report:?}");
-    }
+    let Ok((header, message)) = parse(bytes) else { return };
+    let again = match &message {
+        Message::Fix(report) => emit(header, report).to_vec(),
+        Message::Health(health) => emit_health(header, health).to_vec(),
+        Message::Angles(angles) => emit_angles(header, angles, &mut [0; ANGLES_LEN]).to_vec(),
+    };
+    assert_eq!(again, bytes, "{header:?} {message:?}");
 }

@@ -2,8 +2,8 @@
 //!
 //! The protocol is the recordings' own: a row counts when its truth is good and it lies outside
 //! the window on which stations were fitted; coverage is the part of those rows that have a fix.
-//! A fix belongs to a row when the mote reported it for that row's sweep: at the sweep or within
-//! [`WINDOW_S`] after. Nothing later is looked at, so a method that waits for better light is not
+//! A fix belongs to a row when the mote reported it for that row's sweep: the time it says is that
+//! of the sweep, or within [`WINDOW_S`] after. Nothing later is looked at, so a method that waits for better light is not
 //! rewarded for it.
 //!
 //! # What can go wrong
@@ -17,6 +17,8 @@ use crate::recording::Recording;
 /// How long after its sweep a fix may still be reported for it, seconds: less than a half turn, so
 /// that the next sweep's fix is not taken for this one's.
 pub const WINDOW_S: f64 = 0.005;
+/// A mote stamps the middle of a laser's pulse to whole ticks.
+const SAME_CYCLES: u64 = 8;
 /// Truth is joined by a line over no longer than this, seconds.
 const JOIN_S: f64 = 0.1;
 
@@ -134,12 +136,12 @@ fn window(mote_hz: f64) -> u64 {
 /// The fix of a sweep whose row was written at `row`: the newest one by then that is no older than
 /// the sweep, or else the first one within `window` after.
 fn reported_for(fixes: &[FixRow], sweep: u64, row: u64, window: u64) -> Option<&FixRow> {
-    let from = fixes.partition_point(|fix| fix.cycle < sweep);
+    let from = fixes.partition_point(|fix| fix.sighted + SAME_CYCLES < sweep);
     let by = fixes.partition_point(|fix| fix.cycle <= row);
     if by > from {
         return fixes.get(by - 1);
     }
-    fixes.get(from).filter(|fix| fix.cycle <= row + window)
+    fixes.get(from).filter(|fix| fix.sighted <= row + window)
 }
 
 /// A place at a time: seconds of mote time, metres.
@@ -222,10 +224,10 @@ pub(crate) mod tests {
         let cycle = |sweep, row| reported_for(&fixes, sweep, row, 5_000).map(|fix| fix.cycle);
         assert_eq!(cycle(900, 900), Some(1_000));
         assert_eq!(cycle(1_000, 1_000), Some(1_000));
-        assert_eq!(cycle(1_001, 1_001), None, "an earlier fix is stale, the next too late");
+        assert_eq!(cycle(1_010, 1_010), None, "an earlier fix is stale, the next too late");
         assert_eq!(cycle(8_000, 8_000), Some(9_000), "the first after the sweep");
         assert_eq!(cycle(8_000, 12_000), Some(9_100), "the newest when the row was written later");
-        assert_eq!(cycle(9_101, 9_101), None);
+        assert_eq!(cycle(9_110, 9_110), None);
     }
 
     #[test]

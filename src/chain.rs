@@ -90,20 +90,15 @@ impl Classifier {
     /// Takes one pulse, where a board's capture already pairs the edges.
     #[inline]
     pub fn pulse(&mut self, config: &Config, pulse: pulse::Pulse) -> Option<Sighting> {
-        match sweep::step(&config.sweep, &mut self.sweep, pulse) {
-            Some(Light::Sweep(sweep)) => self.sighting(Seen::Sweep(sweep)),
-            Some(Light::Lost) => self.sighting(Seen::Lost),
-            Some(Light::Sync(_)) | None => self.closed(pulse.start),
-        }
-    }
-
-    /// What the slot that has just ended has left to say.
-    #[inline]
-    fn closed(&mut self, at: Ticks) -> Option<Sighting> {
-        match self.sweep.closed()? {
-            Closed::Sweep(sweep) => self.sighting(Seen::Sweep(sweep)),
-            Closed::Dark(half_turn) => self.sighting(Seen::Nothing { at, half_turn }),
-        }
+        let pulses = &self.pulse;
+        sweep::step_then(&config.sweep, &mut self.sweep, pulse, |sweeps, light| {
+            let seen = match light {
+                Some(Light::Sweep(sweep)) => Seen::Sweep(sweep),
+                Some(Light::Lost) => Seen::Lost,
+                Some(Light::Sync(_)) | None => closed(sweeps, pulse.start)?,
+            };
+            Some(Sighting { seen, edges_lost: pulses.lost(), pulses_lost: sweeps.counts().turned_away })
+        })
     }
 
     /// Notices that no light comes; to be called at least once per quarter wrap of the counter, and as often as
@@ -112,7 +107,8 @@ impl Classifier {
         if sweep::expire(&config.sweep, &mut self.sweep, now).is_some() {
             return self.sighting(Seen::Lost);
         }
-        self.closed(now)
+        let seen = closed(&mut self.sweep, now)?;
+        self.sighting(seen)
     }
 
     fn sighting(&self, seen: Seen) -> Option<Sighting> {
@@ -124,6 +120,15 @@ impl Classifier {
     pub fn counts(&self) -> sweep::Counts {
         self.sweep.counts()
     }
+}
+
+/// What the slot that has just ended has left to say.
+#[inline]
+fn closed(sweeps: &mut sweep::State, at: Ticks) -> Option<Seen> {
+    Some(match sweeps.closed()? {
+        Closed::Sweep(sweep) => Seen::Sweep(sweep),
+        Closed::Dark(half_turn) => Seen::Nothing { at, half_turn },
+    })
 }
 
 /// The second half: sightings to reports.

@@ -89,9 +89,16 @@ pub struct Flashes {
 }
 
 impl Flashes {
-    fn note(&mut self, sync: Sync, at: Ticks) {
-        self.at = at;
-        self.bits |= (1 | u8::from(sync.data) << 1) << (2 * sync.station as u32);
+    #[inline]
+    fn with(self, sync: Sync, at: Ticks) -> Self {
+        Self { at, bits: self.bits | (1 | u8::from(sync.data) << 1) << (2 * sync.station as u32) }
+    }
+
+    #[inline]
+    fn take(&mut self) -> Self {
+        let taken = *self;
+        self.bits = 0;
+        taken
     }
 
     /// The data bit of a station, if its flash was seen.
@@ -131,41 +138,32 @@ impl Classifier {
     /// Takes one pulse, where a board's capture already pairs the edges.
     #[inline]
     pub fn pulse(&mut self, config: &Config, pulse: pulse::Pulse) -> Option<Sighting> {
-        match sweep::step(&config.sweep, &mut self.sweep, pulse) {
-            Some(Light::Sweep(sweep)) => self.sighting(Seen::Sweep(sweep)),
-            Some(Light::Lost) => self.sighting(Seen::Lost),
-            Some(Light::Sync(sync)) => {
-                // The slot that this flash ends had its own.
-                let sighting = self.closed(pulse.start);
-                self.flashes.note(sync, pulse.start);
-                sighting
-            }
-            None => self.closed(pulse.start),
-        }
-    }
-
-    /// What the slot that has just ended has left to say.
-    #[inline]
-    fn closed(&mut self, at: Ticks) -> Option<Sighting> {
-        match self.sweep.closed()? {
-            Closed::Sweep(sweep) => self.sighting(Seen::Sweep(sweep)),
-            Closed::Dark(half_turn) => self.sighting(Seen::Nothing { at, half_turn }),
-        }
+        let Self { pulse: pulses, sweep: sweeps, flashes } = self;
+        sweep::step_then(&config.sweep, sweeps, pulse, |sweeps, light| {
+            let seen = match light {
+                Some(Light::Sweep(sweep)) => Seen::Sweep(sweep),
+                Some(Light::Lost) => Seen::Lost,
+                Some(Light::Sync(sync)) => {
+                    // The slot that this flash ends had its own.
+                    let before = core::mem::replace(flashes, flashes.with(sync, pulse.start));
+                    let seen = closed(sweeps, pulse.start)?;
+                    *flashes = Flashes::default().with(sync, pulse.start);
+                    return Some(sighting(pulses, sweeps, seen, before));
+                }
+                None => closed(sweeps, pulse.start)?,
+            };
+            Some(sighting(pulses, sweeps, seen, flashes.take()))
+        })
     }
 
     /// Notices that no light comes; to be called at least once per quarter wrap of the counter, and as often as
     /// reports shall go on in the dark. `now` is later than every edge.
     pub fn expire(&mut self, config: &Config, now: Ticks) -> Option<Sighting> {
         if sweep::expire(&config.sweep, &mut self.sweep, now).is_some() {
-            return self.sighting(Seen::Lost);
+            return Some(sighting(&self.pulse, &self.sweep, Seen::Lost, self.flashes.take()));
         }
-        self.closed(now)
-    }
-
-    fn sighting(&mut self, seen: Seen) -> Option<Sighting> {
-        let flashes = self.flashes;
-        self.flashes.bits = 0;
-        Some(Sighting { seen, flashes, edges_lost: self.pulse.lost(), pulses_lost: self.sweep.counts().turned_away })
+        let seen = closed(&mut self.sweep, now)?;
+        Some(sighting(&self.pulse, &self.sweep, seen, self.flashes.take()))
     }
 
     /// How often each kind of light was understood.
@@ -192,6 +190,20 @@ impl Classifier {
             edges_lost: self.pulse.lost(),
         }
     }
+}
+
+#[inline]
+fn sighting(pulses: &pulse::State, sweeps: &sweep::State, seen: Seen, flashes: Flashes) -> Sighting {
+    Sighting { seen, flashes, edges_lost: pulses.lost(), pulses_lost: sweeps.counts().turned_away }
+}
+
+/// What the slot that has just ended has left to say.
+#[inline]
+fn closed(sweeps: &mut sweep::State, at: Ticks) -> Option<Seen> {
+    Some(match sweeps.closed()? {
+        Closed::Sweep(sweep) => Seen::Sweep(sweep),
+        Closed::Dark(half_turn) => Seen::Nothing { at, half_turn },
+    })
 }
 
 /// The second half: sightings to reports.

@@ -288,29 +288,43 @@ impl State {
 /// Takes one pulse; says what it was, if anything.
 #[inline]
 pub fn step(config: &Config, state: &mut State, pulse: Pulse) -> Option<Light> {
+    step_then(config, state, pulse, |_, light| light)
+}
+
+/// The same, and goes on with `then`: in each case by itself, so that none pays for what the others would say.
+#[inline(always)]
+pub(crate) fn step_then<T>(
+    config: &Config,
+    state: &mut State,
+    pulse: Pulse,
+    mut then: impl FnMut(&mut State, Option<Light>) -> T,
+) -> T {
     let lock = &mut state.lock;
-    if lock.phase == Phase::Dark {
-        return state.seek(pulse, false);
-    }
-    if !lock.follow(config, pulse.start) {
-        return state.seek(pulse, true);
-    }
-    match lock.flash_at(config, pulse.start) {
-        Some((station, rise)) => {
-            if let Some(data) = lock.flash(config, &mut state.rejects, station, rise, pulse.width.0) {
-                return Some(Light::Sync(lock.sync(station, data)));
+    let mut is_over = false;
+    if lock.phase != Phase::Dark {
+        if lock.follow(config, pulse.start) {
+            match lock.flash_at(config, pulse.start) {
+                Some((station, rise)) => {
+                    if let Some(data) = lock.flash(config, &mut state.rejects, station, rise, pulse.width.0) {
+                        let sync = lock.sync(station, data);
+                        return then(state, Some(Light::Sync(sync)));
+                    }
+                }
+                None => {
+                    if let Some(sweep) = lock.laser(config, &mut state.rejects, pulse) {
+                        return then(state, Some(Light::Sweep(sweep)));
+                    }
+                }
             }
-        }
-        None => {
-            if let Some(sweep) = lock.laser(config, &mut state.rejects, pulse) {
-                return Some(Light::Sweep(sweep));
+            if !lock.is_doubtful() {
+                return then(state, None);
             }
+        } else {
+            is_over = true;
         }
     }
-    if !lock.is_doubtful() {
-        return None;
-    }
-    state.seek(pulse, false)
+    let light = state.is_lost_by(pulse, is_over).then_some(Light::Lost);
+    then(state, light)
 }
 
 /// Says whether the light has been gone too long, where no pulse comes to say so; `now` is later than every pulse.
@@ -325,11 +339,7 @@ pub fn expire(config: &Config, state: &mut State, now: Ticks) -> Option<Light> {
 }
 
 impl State {
-    /// Looks for a cycle, or for a better one.
-    fn seek(&mut self, pulse: Pulse, is_over: bool) -> Option<Light> {
-        self.is_lost_by(pulse, is_over).then_some(Light::Lost)
-    }
-
+    /// Looks for a cycle, or for a better one; whether the one that was known is lost.
     #[cold]
     #[inline(never)]
     fn is_lost_by(&mut self, pulse: Pulse, is_over: bool) -> bool {

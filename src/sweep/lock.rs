@@ -411,7 +411,8 @@ impl Lock {
         }
         let train = &mut self.trains[station as usize];
         let near = self.near;
-        if train.noise >= near || far >= near || fall_off > (step * 3) as u32 >> 1 || train.seen != 0 {
+        if train.noise >= near || far >= near || fall_off > (step + (step as u32 >> 1) as i32) as u32 || train.seen != 0
+        {
             return self.flash_oddly(config, counts, station, rise, width);
         }
         train.seen = 1;
@@ -683,7 +684,7 @@ impl Lock {
     }
 
     /// Whether that is where this slot's sweep is expected; if so it is taken.
-    #[inline(never)]
+    #[inline]
     fn is_sweep(&mut self, config: &Config, counts: &mut Rejects, at: Ticks, after: u32, width: u32) -> bool {
         let Units { half_turn, step, .. } = self.units;
         let cause = if self.phase != Phase::Locked {
@@ -786,6 +787,9 @@ impl Lock {
     /// What the slot that ended last has left; said once.
     #[inline]
     pub(super) fn take_closed(&mut self) -> Option<Closed> {
+        if self.rest == Rest::Nothing {
+            return None;
+        }
         match core::mem::take(&mut self.rest) {
             Rest::Nothing => None,
             Rest::Dark => Some(Closed::Dark(self.half_turn)),

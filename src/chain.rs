@@ -55,8 +55,6 @@ pub struct Sighting {
     pub seen: Seen,
     /// The flashes of that half turn.
     pub flashes: Flashes,
-    /// Edges without a partner so far, wrapping.
-    pub edges_lost: u16,
     /// Pulses that were turned away so far, wrapping.
     pub pulses_lost: u16,
 }
@@ -81,29 +79,25 @@ pub enum Seen {
 /// The flashes of one half turn, and the bit that each carries.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Flashes {
-    /// When the later one came.
-    at: Ticks,
+pub struct Flashes(
     /// Bits 0 and 1: A was seen, and its data bit; 2 and 3: the same of B.
-    bits: u8,
-}
+    u8,
+);
 
 impl Flashes {
     #[inline]
-    fn with(self, sync: Sync, at: Ticks) -> Self {
-        Self { at, bits: self.bits | (1 | u8::from(sync.data) << 1) << (2 * sync.station as u32) }
+    fn with(self, sync: Sync) -> Self {
+        Self(self.0 | (1 | u8::from(sync.data) << 1) << (2 * sync.station as u32))
     }
 
     #[inline]
     fn take(&mut self) -> Self {
-        let taken = *self;
-        self.bits = 0;
-        taken
+        core::mem::take(self)
     }
 
     /// The data bit of a station, if its flash was seen.
     fn data(self, station: Station) -> Option<bool> {
-        let bits = self.bits >> (2 * station as u32);
+        let bits = self.0 >> (2 * station as u32);
         (bits & 1 != 0).then_some(bits & 2 != 0)
     }
 }
@@ -138,21 +132,22 @@ impl Classifier {
     /// Takes one pulse, where a board's capture already pairs the edges.
     #[inline]
     pub fn pulse(&mut self, config: &Config, pulse: pulse::Pulse) -> Option<Sighting> {
-        let Self { pulse: pulses, sweep: sweeps, flashes } = self;
-        sweep::step_then(&config.sweep, sweeps, pulse, |sweeps, light| {
-            let seen = match light {
-                Some(Light::Sweep(sweep)) => Seen::Sweep(sweep),
-                Some(Light::Lost) => Seen::Lost,
-                Some(Light::Sync(sync)) => {
-                    // The slot that this flash ends had its own.
-                    let before = core::mem::replace(flashes, flashes.with(sync, pulse.start));
-                    let seen = closed(sweeps, pulse.start)?;
-                    *flashes = Flashes::default().with(sync, pulse.start);
-                    return Some(sighting(pulses, sweeps, seen, before));
+        let Self { sweep: sweeps, flashes, .. } = self;
+        sweep::step_then(&config.sweep, sweeps, pulse, |sweeps, light| match light {
+            Some(Light::Sweep(sweep)) => Some(sighting(sweeps, Seen::Sweep(sweep), flashes.take())),
+            Some(Light::Sync(sync)) => {
+                let before = *flashes;
+                *flashes = before.with(sync);
+                if !sweeps.has_closed() {
+                    return None;
                 }
-                None => closed(sweeps, pulse.start)?,
-            };
-            Some(sighting(pulses, sweeps, seen, flashes.take()))
+                // The slot that this flash ends had its own.
+                *flashes = Flashes::default().with(sync);
+                late(sweeps, pulse.start, before)
+            }
+            None if !sweeps.has_closed() => None,
+            None => late(sweeps, pulse.start, flashes.take()),
+            Some(Light::Lost) => lost(sweeps, flashes.take()),
         })
     }
 
@@ -160,10 +155,9 @@ impl Classifier {
     /// reports shall go on in the dark. `now` is later than every edge.
     pub fn expire(&mut self, config: &Config, now: Ticks) -> Option<Sighting> {
         if sweep::expire(&config.sweep, &mut self.sweep, now).is_some() {
-            return Some(sighting(&self.pulse, &self.sweep, Seen::Lost, self.flashes.take()));
+            return lost(&self.sweep, self.flashes.take());
         }
-        let seen = closed(&mut self.sweep, now)?;
-        Some(sighting(&self.pulse, &self.sweep, seen, self.flashes.take()))
+        late(&mut self.sweep, now, self.flashes.take())
     }
 
     /// How often each kind of light was understood.
@@ -192,18 +186,26 @@ impl Classifier {
     }
 }
 
-#[inline]
-fn sighting(pulses: &pulse::State, sweeps: &sweep::State, seen: Seen, flashes: Flashes) -> Sighting {
-    Sighting { seen, flashes, edges_lost: pulses.lost(), pulses_lost: sweeps.counts().turned_away }
+#[inline(always)]
+fn sighting(sweeps: &sweep::State, seen: Seen, flashes: Flashes) -> Sighting {
+    Sighting { seen, flashes, pulses_lost: sweeps.counts().turned_away }
 }
 
 /// What the slot that has just ended has left to say.
-#[inline]
-fn closed(sweeps: &mut sweep::State, at: Ticks) -> Option<Seen> {
-    Some(match sweeps.closed()? {
+#[cold]
+#[inline(never)]
+fn late(sweeps: &mut sweep::State, at: Ticks, flashes: Flashes) -> Option<Sighting> {
+    let seen = match sweeps.closed()? {
         Closed::Sweep(sweep) => Seen::Sweep(sweep),
         Closed::Dark(half_turn) => Seen::Nothing { at, half_turn },
-    })
+    };
+    Some(sighting(sweeps, seen, flashes))
+}
+
+#[cold]
+#[inline(never)]
+fn lost(sweeps: &sweep::State, flashes: Flashes) -> Option<Sighting> {
+    Some(sighting(sweeps, Seen::Lost, flashes))
 }
 
 /// The second half: sightings to reports.
@@ -225,7 +227,7 @@ pub struct Solver {
 #[derive(Debug, Clone, Default)]
 struct Ear {
     ootx: ootx::State,
-    /// Its latest flash.
+    /// The slot of its latest flash.
     at: Option<Ticks>,
     /// Who it said it is, since the cycle was found.
     known: Option<Known>,
@@ -302,7 +304,7 @@ impl Solver {
         report.stations = self.fix.stations(&config.fix, at, half_turn);
         let refused = self.fix.refused();
         report.losses = Losses {
-            edges: sighting.edges_lost,
+            edges: 0,
             pulses: sighting.pulses_lost,
             sweeps: self.angle.outside(),
             fixes: refused.geometry.wrapping_add(refused.mismatch).wrapping_add(self.disbelieved),
@@ -335,14 +337,15 @@ impl Solver {
     /// Hands the bits of the flashes to the stations' frames, and takes note of who says what.
     #[inline(never)]
     fn listen(&mut self, config: &Config, seen: Seen, flashes: Flashes) {
-        let half_turn = match seen {
-            Seen::Sweep(sweep) => sweep.half_turn,
-            Seen::Nothing { half_turn, .. } => half_turn,
+        // About when the slot began: where there was no sweep, its end is known, or a little later.
+        let (slot, half_turn) = match seen {
+            Seen::Sweep(sweep) => (sweep.at.before(sweep.since_sync), sweep.half_turn),
+            Seen::Nothing { at, half_turn } => (at.before(half_turn.span()), half_turn),
             Seen::Lost => return,
         };
         for (station, ear) in [Station::A, Station::B].into_iter().zip(&mut self.ears) {
             let Some(bit) = flashes.data(station) else { continue };
-            let Some(block) = ear.hear(&config.ootx, bit, flashes.at, half_turn) else { continue };
+            let Some(block) = ear.hear(&config.ootx, bit, slot, half_turn) else { continue };
             if config.angle.asks()
                 && let Some(rotors) = angle::received(&block)
             {
@@ -458,9 +461,9 @@ impl Understood {
 }
 
 impl Ear {
-    /// Takes the bit of a flash at `at`; gives the block that it completes.
+    /// Takes the bit of the flash in the slot that began at `at`; gives the block that it completes.
     fn hear(&mut self, config: &ootx::Config, bit: bool, at: Ticks, half_turn: HalfTurn) -> Option<ootx::Block> {
-        // The flashes of a slot are a twentieth of a half turn apart, so rounding tells how many slots went by.
+        // Good to a twentieth of a half turn nearly always, so rounding tells how many slots went by; the CRC, the rest.
         let half_turns = half_turn.span().0;
         let since = self.at.replace(at).map(|before| at.since(before));
         if since.is_none_or(|since| since.0 > half_turns + half_turns / 2) {
@@ -564,13 +567,22 @@ impl Chain {
     /// Takes one edge; gives the report that it completes.
     pub fn step(&mut self, config: &Config, edge: Edge) -> Option<Report> {
         let sighting = self.classifier.step(config, edge)?;
-        self.solver.step(config, sighting)
+        let report = self.solver.step(config, sighting);
+        self.complete(report)
     }
 
     /// Notices that no light comes; to be called at least once per quarter wrap of the counter.
     pub fn expire(&mut self, config: &Config, now: Ticks) -> Option<Report> {
         let sighting = self.classifier.expire(config, now)?;
-        self.solver.step(config, sighting)
+        let report = self.solver.step(config, sighting);
+        self.complete(report)
+    }
+
+    /// Adds what only the first half knows.
+    fn complete(&self, report: Option<Report>) -> Option<Report> {
+        let mut report = report?;
+        report.losses.edges = self.classifier.pulse.lost();
+        Some(report)
     }
 
     /// How the mote is by `now`, which is later than every edge.

@@ -246,6 +246,13 @@ impl State {
         }
     }
 
+    /// Whether [`Self::closed`] has something to say.
+    #[must_use]
+    #[inline(always)]
+    pub fn has_closed(&self) -> bool {
+        self.lock.has_closed()
+    }
+
     /// What the slot that ended last gave, if its sweep was not said at once; said once per slot.
     ///
     /// To be asked after every [`step`] that gave no sweep, and after [`expire`].

@@ -784,6 +784,11 @@ impl Lock {
         (self.late_slot, self.late_after, self.late_at) = (self.slot, self.held_after, self.held_at);
     }
 
+    #[inline(always)]
+    pub(super) fn has_closed(&self) -> bool {
+        self.rest != Rest::Nothing
+    }
+
     /// What the slot that ended last has left; said once.
     #[inline]
     pub(super) fn take_closed(&mut self) -> Option<Closed> {

@@ -121,7 +121,7 @@ const POINTS: [[f32; 3]; 8] = [
 const HALF_TURN: u32 = 83_333;
 
 fn nothing_seen() -> Sighting {
-    Sighting { seen: Seen::Lost, flashes: Flashes::default(), edges_lost: 0, pulses_lost: 0 }
+    Sighting { seen: Seen::Lost, flashes: Flashes::default(), pulses_lost: 0 }
 }
 
 /// Starts everything anew. To be called before anything else.

@@ -97,23 +97,23 @@ impl Classify {
     fn pass_on(&mut self, sighting: Sighting) -> bool {
         // What is owed comes first, or the news would be of the wrong angles.
         if self.owed.is_some() || !self.sightings.push(sighting) {
-            self.owe(sighting);
+            self.owe(&sighting);
         }
         true
     }
 
     #[cold]
     #[inline(never)]
-    fn owe(&mut self, sighting: Sighting) {
+    fn owe(&mut self, sighting: &Sighting) {
         if let Some(owed) = self.owed
             && self.sightings.push(owed)
         {
             self.owed = None;
         }
-        if self.owed.is_some() || !self.sightings.push(sighting) {
+        if self.owed.is_some() || !self.sightings.push(*sighting) {
             LOST.store(LOST.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
             if sighting.seen == Seen::Lost {
-                self.owed = Some(sighting);
+                self.owed = Some(*sighting);
             }
         }
     }
@@ -153,14 +153,15 @@ impl Solve {
     /// Takes the oldest sighting, or what was told where there is none; one at a time as [`Classify::run`].
     #[inline(always)]
     pub fn run(&mut self, config: &Config) -> Done {
-        let Some(&sighting) = self.sightings.oldest() else {
+        let Some(sighting) = self.sightings.oldest() else {
             let passed_on = self.is_free_to_tell() && self.tell(config);
             return Done { passed_on, more: false };
         };
         if sighting.seen == Seen::Lost {
-            defmt::warn!("light lost; edges {=u16}, pulses {=u16}", sighting.edges_lost, sighting.pulses_lost);
+            defmt::warn!("light lost; edges {=u16}, pulses {=u16}", capture::lost(), sighting.pulses_lost);
         }
-        let report = self.solver.step(config, sighting);
+        let report = self.solver.step(config, *sighting);
+        let angles = if config.estimate == Estimate::Angles { self.batch.step(sighting) } else { None };
         self.sightings.pop();
         let passed_on = match report {
             Some(report) => {
@@ -168,13 +169,11 @@ impl Solve {
                 // Behind a report there is the longest silence on the air.
                 sent | self.tell(config)
             }
-            None if config.estimate == Estimate::Angles => match self.batch.step(&sighting) {
-                Some(angles) => self.frames.put(|frame, header| {
+            None => angles.is_some_and(|angles| {
+                self.frames.put(|frame, header| {
                     frame::emit_angles_into(frame, header, &angles);
-                }),
-                None => false,
-            },
-            None => false,
+                })
+            }),
         };
         Done { passed_on, more: self.sightings.oldest().is_some() || self.is_free_to_tell() }
     }

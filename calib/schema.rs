@@ -125,7 +125,7 @@ impl Default for Mote {
             id: 1,
             pan: 0x4C48,
             estimate: Estimate::Track,
-            report_every_half_turns: 4,
+            report_every_half_turns: 8,
             max_angle_age_ms: 100.0,
             angle_noise_mrad: None,
             factory: FactorySource::File,

@@ -70,7 +70,7 @@ fn millimetres_are_not_taken_for_metres() {
 fn numbers_that_no_mote_holds_are_refused() {
     for (from, to, says) in [
         ("id = 1", "id = 65535", "mote.id: 65535"),
-        ("report_every_half_turns = 4", "report_every_half_turns = 0", "mote.report_every_half_turns: 0"),
+        ("report_every_half_turns = 8", "report_every_half_turns = 0", "mote.report_every_half_turns: 0"),
         ("max_angle_age_ms = 100", "max_angle_age_ms = nan", "mote.max_angle_age_ms: nan is not finite"),
         ("estimate = \"track\"", "estimate = \"guess\"", "mote.estimate: \"guess\""),
         ("max = [1.54, 1.99, 1.10]", "max = [1.54, 1.99, -2.0]", "room.max: -2 is not above"),

@@ -43,6 +43,7 @@ mod on_target {
 #[cfg(test)]
 #[path = "../tests/host"]
 mod on_host {
+    mod chain;
     mod direction;
     mod ootx;
     mod properties;

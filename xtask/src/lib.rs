@@ -10,6 +10,7 @@ pub mod calibrate;
 pub mod light;
 pub mod output;
 pub mod pcap;
+pub mod pulses;
 pub mod recording;
 pub mod reference;
 pub mod score;

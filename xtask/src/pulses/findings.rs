@@ -321,7 +321,9 @@ fn advice(played: &Played, stations: &[Station; 2], rotors: &[Angles; 4]) -> Vec
     let mut say = |text: &str| advice.push(text.to_string());
     match played.status {
         Status::Locked => {}
-        Status::NoLight => say("The light went before the end: look for what stands between the mote and the stations."),
+        Status::NoLight => {
+            say("The light went before the end: look for what stands between the mote and the stations.")
+        }
         Status::Searching => say(
             "There are pulses, but no cycle in them yet: record at least a second, with the photodiode facing both \
              stations and out of sun and lamp light.",
@@ -338,9 +340,9 @@ fn advice(played: &Played, stations: &[Station; 2], rotors: &[Angles; 4]) -> Vec
             "The pulses are too long to be flashes or sweeps: check that the line is high while there is light, and \
              switch off lamps that flicker.",
         ),
-        Status::V2 => say(
-            "There are sweeps but no flashes: these look like Lighthouse V2 stations, and the mote reads V1 only.",
-        ),
+        Status::V2 => {
+            say("There are sweeps but no flashes: these look like Lighthouse V2 stations, and the mote reads V1 only.")
+        }
     }
     if played.locked.is_empty() {
         return advice;
@@ -357,10 +359,14 @@ fn advice(played: &Played, stations: &[Station; 2], rotors: &[Angles; 4]) -> Vec
             ));
         }
         if station.said.as_ref().is_some_and(|said| said.faults != 0) {
-            advice.push(format!("Station {name} says that it is faulty: switch it off and on, and see that it stands firmly."));
+            advice.push(format!(
+                "Station {name} says that it is faulty: switch it off and on, and see that it stands firmly."
+            ));
         }
         if station.said.as_ref().is_some_and(|said| !said.is_believed) {
-            advice.push(format!("Station {name} sends factory terms beyond any real station's: a mote does not use them."));
+            advice.push(format!(
+                "Station {name} sends factory terms beyond any real station's: a mote does not use them."
+            ));
         }
         let rate = station.flashes.per_s.unwrap_or(FULL.0);
         if played.frames[index].is_empty() && station.flashes.count > 0 {
@@ -438,8 +444,8 @@ type Swept = (usize, usize, Option<Series>, Option<Series>);
 fn rotors(played: &Played, factory: bool) -> [Swept; 4] {
     let measured = angles(&played.sweeps, &angle::Config::default());
     let terms = [0, 1].map(|side| played.frames[side].last().and_then(|(_, block)| angle::received(block)));
-    let corrected = factory
-        .then(|| angles(&played.sweeps, &angle::Config::new(terms.map(|rotors| rotors.unwrap_or_default()))));
+    let corrected =
+        factory.then(|| angles(&played.sweeps, &angle::Config::new(terms.map(|rotors| rotors.unwrap_or_default()))));
     [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(side, axis)| {
         let with_terms = corrected.as_ref().filter(|_| terms[side].is_some()).and_then(|all| all[side][axis]);
         (side, axis, measured[side][axis], with_terms)
@@ -459,7 +465,8 @@ fn angles(sweeps: &[(u64, Sweep)], config: &angle::Config) -> [[Option<Series>; 
             None => outside[side][axis] += 1,
         }
     }
-    [Side::A, Side::B].map(|side| [0, 1].map(|axis| Series::of(&seen[side as usize][axis], outside[side as usize][axis])))
+    [Side::A, Side::B]
+        .map(|side| [0, 1].map(|axis| Series::of(&seen[side as usize][axis], outside[side as usize][axis])))
 }
 
 impl Series {

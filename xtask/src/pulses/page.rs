@@ -19,8 +19,9 @@ const TIMES: usize = 6;
 #[must_use]
 pub fn page(findings: &Findings) -> String {
     let mut page = String::new();
+    // A String takes everything.
     write(&mut page, findings).unwrap_or_default();
-    page
+    page.lines().flat_map(|line| [line.trim_end(), "\n"]).collect()
 }
 
 fn write(page: &mut String, findings: &Findings) -> std::fmt::Result {
@@ -28,7 +29,8 @@ fn write(page: &mut String, findings: &Findings) -> std::fmt::Result {
         Some(seconds) => format!("{seconds:.2} s"),
         None => format!("{} ticks", findings.duration_ticks),
     };
-    write!(page, "{}: {} pulses in {length}", findings.file, findings.pulses)?;
+    let plural = if findings.pulses == 1 { "" } else { "s" };
+    write!(page, "{}: {} pulse{plural} in {length}", findings.file, findings.pulses)?;
     if findings.joined > 0 {
         write!(page, ", {} more joined to those", findings.joined)?;
     }
@@ -45,20 +47,18 @@ fn write(page: &mut String, findings: &Findings) -> std::fmt::Result {
     }
     let rejects = &findings.rejects;
     let causes = [
-        (rejects.strays, "strays"),
-        (rejects.widths, "flashes of a wrong width or time"),
-        (rejects.short, "too short"),
-        (rejects.long, "too long"),
-        (rejects.second, "second sweeps"),
-        (rejects.outside, "sweeps out of view"),
+        (rejects.strays, "where no light of ours is due"),
+        (rejects.widths, "wrong for a flash"),
+        (rejects.short, "too short for a sweep"),
+        (rejects.long, "too long for a sweep"),
+        (rejects.second, "after the sweep"),
+        (rejects.outside, "beyond 60 degrees"),
     ];
     let causes: Vec<String> =
         causes.iter().filter(|(count, _)| *count > 0).map(|(count, cause)| format!("{count} {cause}")).collect();
-    writeln!(page, "Rejected  {}", if causes.is_empty() { "nothing".to_string() } else { causes.join(", ") })?;
+    paragraph(page, "Rejected", &if causes.is_empty() { "nothing".to_string() } else { causes.join(", ") })?;
     for advice in &findings.advice {
-        for (index, line) in wrapped(advice, 68).iter().enumerate() {
-            writeln!(page, "{}{line}", if index == 0 { "Advice    " } else { "          " })?;
-        }
+        paragraph(page, "Advice", advice)?;
     }
     if findings.clock.is_some() {
         writeln!(page, "\nUnderstood      count   per second")?;
@@ -73,7 +73,10 @@ fn write(page: &mut String, findings: &Findings) -> std::fmt::Result {
         Some(histogram) => widths(page, histogram)?,
         None => {
             let [shortest, median, longest] = findings.widths_ticks;
-            writeln!(page, "\nWidths    {shortest} to {longest} ticks, median {median}; --clock-hz gives microseconds")?;
+            writeln!(
+                page,
+                "\nWidths    {shortest} to {longest} ticks, half of them up to {median}; --clock-hz makes microseconds of that"
+            )?;
         }
     }
     for station in &findings.stations {
@@ -95,7 +98,16 @@ fn lock(page: &mut String, findings: &Findings) -> std::fmt::Result {
         lost => write!(page, "lost {lost} times at {} s", times(&lock.lost_s))?,
     }
     write!(page, ", {:.1} % of the time", lock.locked_share * 100.0)?;
-    if lock.status == "locked" { writeln!(page) } else { writeln!(page, "; at the end {}", lock.status.replace('_', " ")) }
+    if lock.status == "locked" {
+        writeln!(page)
+    } else {
+        writeln!(page, "; at the end {}", lock.status.replace('_', " "))
+    }
+}
+
+fn paragraph(page: &mut String, name: &str, text: &str) -> std::fmt::Result {
+    let lines = wrapped(text, 68);
+    lines.iter().enumerate().try_for_each(|(n, line)| writeln!(page, "{:<10}{line}", if n == 0 { name } else { "" }))
 }
 
 /// A part of a million with its sign, or per cent where that is shorter.
@@ -111,8 +123,7 @@ fn bar(page: &mut String, name: &str, rate: &Rate) -> std::fmt::Result {
     let rest = [' ', '▏', '▎', '▍', '▌', '▋', '▊', '▉'][eighths % 8];
     let bar = format!("{}{rest}", "█".repeat(eighths / 8));
     let full = rate.full_per_s;
-    writeln!(page, "  {name:<12}{:>7}{per_s:>8.1} of {full:<4.0} {bar}", rate.count)?;
-    Ok(())
+    writeln!(page, "  {name:<12}{:>7}{per_s:>8.1} of {full:<4.0} {bar}", rate.count)
 }
 
 fn widths(page: &mut String, histogram: &Histogram) -> std::fmt::Result {
@@ -199,7 +210,11 @@ fn station(page: &mut String, station: &Station) -> std::fmt::Result {
         writeln!(page, "           flashes look {:.1} us {than} than nominal", bias.abs())?;
     }
     if let Some(said) = &station.said {
-        writeln!(page, "           {:<11}{:>12}{:>12}{:>12}{:>12}{:>12}", "terms", "phase", "tilt", "curve", "gibphase", "gibmag")?;
+        writeln!(
+            page,
+            "           {:<11}{:>12}{:>12}{:>12}{:>12}{:>12}",
+            "terms", "phase", "tilt", "curve", "gibphase", "gibmag"
+        )?;
         for (axis, terms) in ["azimuth", "elevation"].into_iter().zip(&said.rotors) {
             let [phase, tilt, curve, gibphase, gibmag] =
                 [terms.phase_rad, terms.tilt_rad, terms.curve, terms.gibphase_rad, terms.gibmag_rad].map(shortest);

@@ -3,6 +3,7 @@
 //! What can go wrong: nothing that is an error. Light that is not understood is counted by cause, as the mote counts it.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::OnceLock;
 
 use anyhow::{Result, anyhow};
 use lighthouse_mote::chain::{Classifier, Config, Ears, Estimate, Seen, Sighting, Solver};
@@ -91,15 +92,13 @@ impl Player {
     /// # Errors
     /// The project's own default room cannot be held; no place is ever asked of it here.
     pub fn new(lone: Option<Station>) -> Result<Self> {
-        const FILE: &str = "calib/default.toml";
-        let usual = schema::read(FILE, include_str!("../../../calib/default.toml"));
-        let held = usual.and_then(|room| firmware::bake(FILE, &room)).map_err(|error| anyhow!("{error}"))?;
+        let calib = room()?;
         let nowhere = track::Pose { axes: Matrix3::zeros(), position: Vector3::zeros() };
         let config = Config {
             sweep: sweep::Config { lone, ..sweep::Config::DEFAULT },
             ootx: ootx::Config { rest_bits: 0, ids: [None, None] },
             angle: angle::Config::default(),
-            fix: fix::Config { calib: held.baked.calib, max_age_half_turns: 12 },
+            fix: fix::Config { calib, max_age_half_turns: 12 },
             track: track::Config::HAND_HELD,
             room: track::Room { stations: [nowhere, nowhere] },
             estimate: Estimate::Angles,
@@ -196,7 +195,7 @@ impl Player {
     fn look(&mut self, now: u64, end: Ticks) {
         let understood = self.classifier.understood(end);
         let health = self.solver.health(&self.config, &understood);
-        let earlier = core::mem::replace(&mut self.health, health);
+        let earlier = std::mem::replace(&mut self.health, health);
         let totals = &mut self.played.totals;
         let add = |total: &mut u64, now: u16, before: u16| *total += u64::from(now.wrapping_sub(before));
         for station in 0..2 {
@@ -255,6 +254,18 @@ impl Player {
         self.played.status = self.health.lock;
         self.played
     }
+}
+
+/// Some room: the solver wants one, and no place is asked for. Baked once, as that takes the time of a minute of light.
+fn room() -> Result<fix::Calib> {
+    const FILE: &str = "calib/default.toml";
+    static ROOM: OnceLock<fix::Calib> = OnceLock::new();
+    if let Some(room) = ROOM.get() {
+        return Ok(*room);
+    }
+    let usual = schema::read(FILE, include_str!("../../../calib/default.toml"));
+    let held = usual.and_then(|room| firmware::bake(FILE, &room)).map_err(|error| anyhow!("{error}"))?;
+    Ok(*ROOM.get_or_init(|| held.baked.calib))
 }
 
 fn note(widths: &mut Widths, width: u32) {

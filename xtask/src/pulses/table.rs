@@ -60,11 +60,10 @@ impl Table {
         ensure!(!header.is_empty(), "{name}: the file is empty");
         let mut places = [0; 2];
         for (place, column) in places.iter_mut().zip(COLUMNS) {
-            *place =
-                header.iter().position(|name| name.trim_start_matches('\u{feff}') == column).ok_or_else(|| {
-                    let header = header.iter().collect::<Vec<_>>().join(",");
-                    anyhow!("{name}:1: column {column} is missing; the header is `{header}`")
-                })?;
+            *place = header.iter().position(|name| name.trim_start_matches('\u{feff}') == column).ok_or_else(|| {
+                let header = header.iter().collect::<Vec<_>>().join(",");
+                anyhow!("{name}:1: column {column} is missing; the header is `{header}`")
+            })?;
         }
         let columns = header.len();
         let record = csv::StringRecord::new();

@@ -218,6 +218,12 @@ pub struct Solver {
     heard: Option<Ticks>,
     disbelieved: u16,
     reported: Option<Ticks>,
+    ears: Ears,
+}
+
+/// What the stations say about themselves, out of the bits of their flashes.
+#[derive(Debug, Clone, Default)]
+pub struct Ears {
     ears: [Ear; 2],
     /// Half turns to go by before the stations are listened to again.
     rest: u16,
@@ -248,9 +254,7 @@ impl Solver {
     /// Takes one sighting.
     #[inline]
     pub fn step(&mut self, config: &Config, sighting: Sighting) -> Option<Report> {
-        if self.rest > 0 {
-            self.rest -= 1;
-        } else {
+        if !self.ears.rests() {
             self.listen(config, sighting.seen, sighting.flashes);
         }
         let (at, half_turn) = match sighting.seen {
@@ -277,9 +281,7 @@ impl Solver {
                 self.track = track::State::default();
                 self.heard = None;
                 self.reported = None;
-                // Who flashes may be others, from now on.
-                self.rest = 0;
-                self.ears.iter_mut().for_each(Ear::forget);
+                self.ears.forget();
                 return None;
             }
         };
@@ -334,31 +336,16 @@ impl Solver {
         }
     }
 
-    /// Hands the bits of the flashes to the stations' frames, and takes note of who says what.
+    /// Hands the bits of the flashes to the stations' frames, and the rotors' terms on.
     #[inline(never)]
     fn listen(&mut self, config: &Config, seen: Seen, flashes: Flashes) {
-        // About when the slot began: where there was no sweep, its end is known, or a little later.
-        let (slot, half_turn) = match seen {
-            Seen::Sweep(sweep) => (sweep.at.before(sweep.since_sync), sweep.half_turn),
-            Seen::Nothing { at, half_turn } => (at.before(half_turn.span()), half_turn),
-            Seen::Lost => return,
-        };
-        for (station, ear) in [Station::A, Station::B].into_iter().zip(&mut self.ears) {
-            let Some(bit) = flashes.data(station) else { continue };
-            let Some(block) = ear.hear(&config.ootx, bit, slot, half_turn) else { continue };
+        self.ears.listen(&config.ootx, seen, flashes, |station, block| {
             if config.angle.asks()
-                && let Some(rotors) = angle::received(&block)
+                && let Some(rotors) = angle::received(block)
             {
                 angle::receive(&config.angle, &mut self.angle, station, rotors);
             }
-        }
-        if self.ears.iter().all(|ear| ear.ootx.is_resting()) {
-            self.rest = config.ootx.rest_bits;
-            self.ears.iter_mut().for_each(|ear| {
-                ear.ootx.restart();
-                ear.at = None;
-            });
-        }
+        });
     }
 
     /// How the mote is. Left to the board: uptime, reset, queues, and what it lost by itself.
@@ -389,7 +376,7 @@ impl Solver {
             ..Health::default()
         };
         for (index, station) in [Station::A, Station::B].into_iter().enumerate() {
-            let (told, ear, bias) = (&mut health.stations[index], &self.ears[index], width_bias[index]);
+            let (told, ear, bias) = (&mut health.stations[index], &self.ears.ears[index], width_bias[index]);
             *told = frame::Station {
                 good: ear.ootx.good(),
                 bad: ear.ootx.bad(),
@@ -457,6 +444,61 @@ impl Understood {
     #[must_use]
     pub const fn is_locked(&self) -> bool {
         matches!(self.status, Status::Locked)
+    }
+}
+
+impl Ears {
+    /// Takes one sighting; `told` is given every block that it completes. [`Solver::step`] does the same within.
+    pub fn hear(&mut self, config: &ootx::Config, sighting: &Sighting, told: impl FnMut(Station, &ootx::Block)) {
+        if sighting.seen == Seen::Lost {
+            self.forget();
+        } else if !self.rests() {
+            self.listen(config, sighting.seen, sighting.flashes, told);
+        }
+    }
+
+    /// Whether nobody listens in this half turn, one more of which has gone by.
+    #[inline]
+    fn rests(&mut self) -> bool {
+        let rests = self.rest > 0;
+        self.rest = self.rest.saturating_sub(1);
+        rests
+    }
+
+    /// Hands the bits of the flashes to the stations' frames, and takes note of who says what.
+    #[inline]
+    fn listen(
+        &mut self,
+        config: &ootx::Config,
+        seen: Seen,
+        flashes: Flashes,
+        mut told: impl FnMut(Station, &ootx::Block),
+    ) {
+        // About when the slot began: where there was no sweep, its end is known, or a little later.
+        let (slot, half_turn) = match seen {
+            Seen::Sweep(sweep) => (sweep.at.before(sweep.since_sync), sweep.half_turn),
+            Seen::Nothing { at, half_turn } => (at.before(half_turn.span()), half_turn),
+            Seen::Lost => return,
+        };
+        for (station, ear) in [Station::A, Station::B].into_iter().zip(&mut self.ears) {
+            let Some(bit) = flashes.data(station) else { continue };
+            if let Some(block) = ear.hear(config, bit, slot, half_turn) {
+                told(station, &block);
+            }
+        }
+        if self.ears.iter().all(|ear| ear.ootx.is_resting()) {
+            self.rest = config.rest_bits;
+            self.ears.iter_mut().for_each(|ear| {
+                ear.ootx.restart();
+                ear.at = None;
+            });
+        }
+    }
+
+    /// Who flashes may be others, from now on.
+    fn forget(&mut self) {
+        self.rest = 0;
+        self.ears.iter_mut().for_each(Ear::forget);
     }
 }
 

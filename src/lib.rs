@@ -45,6 +45,7 @@ mod on_target {
 #[cfg(test)]
 #[path = "../tests/host"]
 mod on_host {
+    mod chain;
     mod direction;
     mod nrf52840;
     mod ootx;

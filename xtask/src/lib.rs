@@ -13,6 +13,7 @@ pub mod flash;
 pub mod light;
 pub mod output;
 pub mod pcap;
+pub mod pulses;
 pub mod recording;
 pub mod reference;
 pub mod score;

@@ -52,6 +52,11 @@ enum Verb {
     /// (target/calibrate/report.html) that says whether it can be trusted. A room file that this wrote before is
     /// replaced and kept as .toml~; what stands under its [mote] is carried over.
     Calibrate(xtask::calibrate::Arguments),
+    /// Look at a recording of pulses as the mote does: is there a cycle in it, who flashes, what do the stations say
+    ///
+    /// For a mote or a photodiode with a logic analyser: a CSV file of rise_ticks and width_ticks, of any clock. Prints
+    /// lock, rates, widths, the clock as the rotors measure it, the stations' own frames and the angles of each rotor.
+    Pulses(xtask::pulses::Arguments),
     /// Count what the firmware costs: instructions, cycles, flash and stack of each stage, processor load, delays, sizes
     ///
     /// Runs the release firmware's own code in the virtual mote, beside what the position would cost the usual way,
@@ -103,6 +108,7 @@ fn main() -> ExitCode {
         Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
         Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),
         Verb::Calibrate(arguments) => xtask::calibrate::calibrate(&arguments).map(|()| 0),
+        Verb::Pulses(arguments) => xtask::pulses::pulses(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),

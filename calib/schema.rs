@@ -221,7 +221,7 @@ const CURVE_LIMIT_RAD: f64 = 0.1;
 const GIBMAG_LIMIT_RAD: f64 = 0.03;
 /// No angle is better than a fifth of a milliradian (the 2020 recording's jitter alone is half of one), and the tracker
 /// holds less than 2^11 / 2^18 rad.
-const ANGLE_NOISE_LIMITS_MRAD: (f64, f64) = (0.2, 7.8);
+pub const ANGLE_NOISE_LIMITS_MRAD: (f64, f64) = (0.2, 7.8);
 
 fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
     let table = both.need_table(name)?;

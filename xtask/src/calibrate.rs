@@ -43,7 +43,7 @@ use crate::reference::{Method, Room as ReferenceRoom};
 use judgement::{Figures, Grade, RotorFigures, length};
 use session::{Measured, Session, Source};
 use simulate::Simulated;
-use solve::{Attitude, Choice, Options, Sighting, Solution, TruthSample};
+use solve::{Attitude, Choice, Options, Rotor, Sighting, Solution, TruthSample};
 
 /// What a calibration may be told.
 #[derive(clap::Args, Clone, Debug)]
@@ -145,7 +145,7 @@ struct Gathered {
     notes: Vec<String>,
     facts: Vec<(String, String)>,
     inputs: Vec<(String, String)>,
-    /// What can be scored outside its own window for fitting.
+    /// Sweeps and truth of one log; the light is for scoring outside its window for fitting.
     recorded: Option<(Recording, Light)>,
     /// What the answer should be.
     simulated: Option<Simulated>,
@@ -161,11 +161,12 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
         fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
         ensure!(!file.is_dir(), "{}: is a folder", file.display());
     }
-    let gathered = match (&arguments.recording, &arguments.points) {
+    let mut gathered = match (&arguments.recording, &arguments.points) {
         (Some(recording), _) => walk(arguments, recording)?,
         (None, Some(points)) => visit(arguments, points, &mut person)?,
         (None, None) => bail!("nothing to calibrate from: --recording or --points"),
     };
+    let factory = own_terms(earlier.as_ref(), &mut gathered.notes);
     writeln!(person.output, "{}", gathered.title)?;
     for note in &gathered.notes {
         writeln!(person.output, "  {note}")?;
@@ -179,6 +180,8 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
             Factory::Always => Choice::Always,
         },
         attitudes: gathered.attitudes.clone(),
+        factory,
+        late: gathered.recorded.is_some(),
         before: earlier.as_ref().map(|room| room.stations.map(|station| Vector3::from(station.position))),
         ..Options::default()
     };
@@ -192,7 +195,11 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
     let judgement = figures.judge();
     let provenance = provenance(&gathered, &solution, &figures, &judgement.sentence)?;
     let path: Vec<[f64; 3]> = path(&solution, gathered.places);
-    let mote = earlier.as_ref().map_or_else(|| Ok(room::usual_mote()), |_| room::mote_of(&arguments.output))?;
+    let mut mote = earlier.as_ref().map_or_else(|| Ok(room::usual_mote()), |_| room::mote_of(&arguments.output))?;
+    if !gathered.places {
+        // Averages of a place say nothing of one sweep.
+        mote.insert("angle_noise_mrad".to_string(), room::angle_noise_mrad(&solution.held_out).into());
+    }
     let name = arguments.output.display().to_string();
     let room = room::write(&name, &solution.stations, &path, &mote, &provenance)?;
 
@@ -254,6 +261,23 @@ fn earlier(output: &Path, force: bool) -> Result<Option<Calibration>> {
         Ok(_) => bail!("{}: was not written by {TOOL}; name another file, or use --force", output.display()),
         Err(error) => bail!("{error}; name another file, or use --force to replace this one"),
     }
+}
+
+/// The stations' own factory terms, where the room that is to be replaced has motes use those that are received: poses
+/// that were fitted with others would be wrong as soon as they come.
+fn own_terms(earlier: Option<&Calibration>, notes: &mut Vec<String>) -> Option<[[Rotor; 2]; 2]> {
+    let room = earlier.filter(|room| room.received() == [true; 2])?;
+    let terms = room.stations.map(|station| station.factory);
+    if terms.as_flattened().iter().any(|rotor| *rotor != Rotor::default()) {
+        notes.push("factory = \"received\": the stations' own terms are taken from the room before".to_string());
+        return Some(terms);
+    }
+    notes.push(
+        "factory = \"received\", but the room before lacks the stations' own terms: what is fitted instead will not go \
+         with what motes receive; write them under [station.A.factory] and [station.B.factory] first"
+            .to_string(),
+    );
+    None
 }
 
 /// Writes a file whole: beside its place first, then renamed into it.
@@ -349,7 +373,7 @@ fn walk(arguments: &Arguments, from: &Path) -> Result<Gathered> {
                 "{}: no row to fit on has a truth that can be trusted; add --truth",
                 from.join("sweeps.csv").display()
             );
-            (own, Vec::new(), None, recorded.filter(|(recording, _)| !recording.calibrate.is_empty()))
+            (own, Vec::new(), None, recorded)
         }
     };
     Ok(Gathered {
@@ -433,7 +457,8 @@ fn figures(solution: &Solution, gathered: &Gathered) -> Figures {
             held_out_deg: solution.held_out.rms[station][axis].to_degrees(),
         }
     });
-    let outside = gathered.recorded.as_ref().map(|(recording, light)| {
+    let recorded = gathered.recorded.as_ref().filter(|(recording, _)| !recording.calibrate.is_empty());
+    let outside = recorded.map(|(recording, light)| {
         let score = Method::plain(ReferenceRoom { stations: solution.stations.clone() }).score(recording, light);
         (score.mean3d_cm / 100.0, score.coverage())
     });
@@ -493,6 +518,8 @@ fn provenance(
     rows.push(("condition".to_string(), format!("{:.0}", figures.condition)));
     if gathered.apart_s.is_some() {
         rows.push(("time_offset".to_string(), format!("truth's clock less the mote's {:.4} s", solution.offset_s)));
+    } else if solution.offset_s != 0.0 {
+        rows.push(("truth_late".to_string(), format!("{:.1} ms", 1000.0 * solution.offset_s)));
     }
     if let Some(arm) = solution.lever_arm {
         let [x, y, z] = arm.into();
@@ -510,6 +537,8 @@ fn facts(gathered: &Gathered, solution: &Solution, figures: &Figures, room: &roo
     facts.push(("median distance to a station".to_string(), length(figures.distance_m)));
     if gathered.apart_s.is_some() {
         facts.push(("truth's clock less the mote's".to_string(), format!("{:.4} s", solution.offset_s)));
+    } else if solution.offset_s != 0.0 {
+        facts.push(("how late the truth is".to_string(), format!("{:.1} ms", 1000.0 * solution.offset_s)));
     }
     if let Some(arm) = solution.lever_arm {
         facts.push(("photodiode on the tracked body".to_string(), place(arm.into())));

@@ -7,6 +7,7 @@ use anyhow::Result;
 
 use crate::bench::{self, bench};
 use crate::fuzz::{self, fuzz};
+use crate::oracle;
 use crate::process::{cargo, run};
 use crate::scenes::{self, scenes};
 use crate::setup;
@@ -27,7 +28,7 @@ const BOARDS: [Board; 4] = [
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
 
-/// Runs formatting, lints, tests, the bench, the scenes and the fuzzer, and closes with how many passed.
+/// Runs formatting, lints, tests, the bench, the scenes, the calibration's oracle and the fuzzer, and closes with how many passed.
 pub(crate) fn ci() -> Result<()> {
     let mut tally = Tally::default();
     tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
@@ -44,6 +45,7 @@ pub(crate) fn ci() -> Result<()> {
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
+    tally.check("calibration beside OpenCV, 20 rooms", || oracle::oracle(20));
     tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));
     tally.close()
 }

@@ -292,6 +292,34 @@ mod tests {
     }
 
     #[test]
+    fn a_late_truth_is_found_inside_the_window_and_only_where_it_is_late() {
+        for (name, late_ms) in [("crazyflie-lh1-flight", 12.0), ("scum-take5", 0.0)] {
+            let Some(recording) = shared_recording(name) else {
+                return;
+            };
+            let recording = recording.sensor(0).unwrap();
+            let light = Light::rebuild(&recording, &LightConfig::of(&recording)).unwrap();
+            // A mote that knows where it is at each sweep, by a truth that is not late.
+            let truth = crate::score::recorded_truth(&recording, &light);
+            let knows = |played: &crate::light::PlayedRow| {
+                let laser = *played.laser.as_ref().ok()?;
+                let place = crate::score::place_at(&truth, light.seconds(laser) + 0.001 * late_ms)?;
+                Some(crate::score::FixRow { seconds: light.seconds(laser), ..fix(laser, place) })
+            };
+            let fixes: Vec<_> = light.rows.iter().filter_map(knows).collect();
+            let found = crate::score::lateness(&recording, &light, &fixes);
+            assert_eq!(found.is_some(), late_ms > 0.0, "{name}: {found:?}");
+            if let Some(late_s) = found {
+                assert!((1000.0 * late_s - late_ms).abs() < 0.6, "{late_s}");
+                let late = Score::of_late_truth(&recording, &light, &fixes, late_s);
+                let plain = Score::of_recording(&recording, &light, &fixes);
+                assert!(late.mean3d_cm < 0.1 && plain.mean3d_cm > 0.4, "{late:?} {plain:?}");
+                assert_eq!(late.fixed, plain.fixed);
+            }
+        }
+    }
+
+    #[test]
     fn the_flight_scores_as_it_is_known_to() {
         let Some(recording) = shared_recording("crazyflie-lh1-flight") else {
             return;

@@ -366,8 +366,12 @@ impl Session {
                 Vec::new(),
             ),
             Source::Recording { recording, light, truth, .. } => {
-                let mut others =
-                    vec![("plain DLT in f64".to_string(), Method::plain(room.clone()).score(recording, light))];
+                let mut others = Vec::new();
+                if let Some(late_s) = score::lateness(recording, light, &self.fixes) {
+                    let late = Score::of_late_truth(recording, light, &self.fixes, late_s);
+                    others.push((format!("truth {:.1} ms late", 1000.0 * late_s), late));
+                }
+                others.push(("plain DLT in f64".to_string(), Method::plain(room.clone()).score(recording, light)));
                 let authors = recording.dir.join("authors_poses.toml");
                 if authors.exists() {
                     others.push((

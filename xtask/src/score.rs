@@ -6,13 +6,16 @@
 //! of the sweep, or within [`WINDOW_S`] after. Nothing later is looked at, so a method that waits for better light is not
 //! rewarded for it.
 //!
+//! Motion capture takes a while, and a log holds what had come by then: the truth of a row may be where the mote was some
+//! milliseconds before. [`lateness`] finds that inside the window for fitting, and only there.
+//!
 //! # What can go wrong
 //! A mote that keeps silent where it is unsure gets small errors and small coverage: the two are
 //! only worth anything together. Without a single fix the errors are not numbers, and are written
 //! as such.
 
 use crate::light::{Light, quantile};
-use crate::recording::Recording;
+use crate::recording::{Recording, Row};
 
 /// How long after its sweep a fix may still be reported for it, seconds: less than a half turn, so
 /// that the next sweep's fix is not taken for this one's.
@@ -21,6 +24,14 @@ pub const WINDOW_S: f64 = 0.005;
 const SAME_CYCLES: u64 = 8;
 /// Truth is joined by a line over no longer than this, seconds.
 const JOIN_S: f64 = 0.1;
+/// A truth is no later than this, seconds: motion capture, network and radio take 10 to 30 ms.
+const LATEST_S: f64 = 0.05;
+/// How finely that is looked for, seconds: 0.3 mm at 0.6 m/s.
+const LATE_STEP_S: f64 = 0.0005;
+/// Farther off than this all errors are alike, metres.
+const WILD_M: f64 = 0.05;
+/// A truth is late when that leaves less than this part of the mean error.
+const LATE_SHARE: f64 = 0.7;
 
 /// One fix as the mote reported it.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,6 +103,23 @@ impl Score {
 
     /// Scores the fixes, in the order of their cycles, of a mote that saw `light`.
     pub fn of_recording(recording: &Recording, light: &Light, fixes: &[FixRow]) -> Self {
+        Self::of_rows(recording, light, fixes, |_, row| row.truth)
+    }
+
+    /// The same rows and fixes, but each fix is held against where the mote was when its newest angle was seen, with a
+    /// truth that is `late_s` late.
+    pub fn of_late_truth(recording: &Recording, light: &Light, fixes: &[FixRow], late_s: f64) -> Self {
+        let places = recorded_truth(recording, light);
+        let then = |fix: &FixRow| place_at(&places, fix.seconds + late_s);
+        Self::of_rows(recording, light, fixes, |fix, row| then(fix).unwrap_or(row.truth))
+    }
+
+    fn of_rows(
+        recording: &Recording,
+        light: &Light,
+        fixes: &[FixRow],
+        truth: impl Fn(&FixRow, &Row) -> [f64; 3],
+    ) -> Self {
         let mut scored = 0;
         let mut errors = Vec::new();
         for (row, played) in recording.rows.iter().zip(&light.rows) {
@@ -104,7 +132,7 @@ impl Score {
                 .laser
                 .ok()
                 .and_then(|laser| reported_for(fixes, laser, laser.max(played.cycle), window(light.mote_hz)));
-            errors.extend(fix.map(|fix| difference(fix.position, row.truth)));
+            errors.extend(fix.map(|fix| difference(fix.position, truth(fix, row))));
         }
         Self::of_errors(scored, &errors)
     }
@@ -151,6 +179,25 @@ pub type Place = (f64, [f64; 3]);
 pub fn recorded_truth(recording: &Recording, light: &Light) -> Vec<Place> {
     let rows = recording.rows.iter().zip(&light.rows).filter(|(row, _)| row.truth_ok);
     rows.map(|(row, played)| (light.seconds(played.cycle), row.truth)).collect()
+}
+
+/// How late the truth is, seconds, by the fixes inside the window for fitting; none where it is not.
+pub fn lateness(recording: &Recording, light: &Light, fixes: &[FixRow]) -> Option<f64> {
+    let places = recorded_truth(recording, light);
+    let [from, to] = light.calibrated(recording)?;
+    let within: Vec<&FixRow> = fixes.iter().filter(|fix| (from..=to).contains(&fix.seconds)).collect();
+    let error = |late_s: f64| {
+        let there = within.iter().filter_map(|fix| {
+            let away = length(difference(fix.position, place_at(&places, fix.seconds + late_s)?));
+            Some(away.min(WILD_M))
+        });
+        let (sum, count) = there.fold((0.0, 0), |(sum, count), away| (sum + away, count + 1));
+        sum / f64::from(count)
+    };
+    let steps = (LATEST_S / LATE_STEP_S).round() as i32;
+    let tried = (-steps..=steps).map(|step| f64::from(step) * LATE_STEP_S);
+    let best = tried.min_by(|a, b| error(*a).total_cmp(&error(*b)))?;
+    (error(best) < LATE_SHARE * error(0.0)).then_some(best)
 }
 
 /// Gives each fix the truth of its time, on a line between the places before and after; none where

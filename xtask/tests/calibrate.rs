@@ -129,6 +129,22 @@ fn a_room_is_replaced_with_its_mote_kept_and_the_one_before_beside_it() {
 }
 
 #[test]
+fn terms_that_motes_receive_are_not_fitted() {
+    let desk = Desk::new();
+    desk.run(&["--simulate", "--factory", "always"], &"\n".repeat(9)).0.expect("a room");
+    let before = schema::open(&desk.room).expect("a room").stations.map(|station| station.factory);
+    assert!(before[0][0].phase != 0.0, "{before:?}");
+    let text = fs::read_to_string(&desk.room).expect("a room");
+    fs::write(&desk.room, text.replace("[mote]\n", "[mote]\nfactory = \"received\"\n")).expect("a change");
+    let (end, said) = desk.run(&["--simulate"], "");
+    end.unwrap_or_else(|error| panic!("{error}\n{said}"));
+    assert!(said.contains("Factory terms are the ones given"), "{said}");
+    let after = schema::open(&desk.room).expect("a room");
+    assert_eq!(after.received(), [true; 2]);
+    assert_eq!(after.stations.map(|station| station.factory), before);
+}
+
+#[test]
 fn a_file_of_somebody_else_is_not_touched_without_force() {
     let desk = Desk::new();
     let theirs = include_str!("../../calib/default.toml");

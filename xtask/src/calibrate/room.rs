@@ -13,7 +13,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
 
-use super::solve::Station;
+use super::solve::{HeldOut, Station};
 use crate::calib::firmware::{self, Held};
 use crate::calib::schema::{self, Calibration, Estimate, Mote, RoomBox, Rotor};
 use crate::calib::solver::Calib;
@@ -98,6 +98,19 @@ pub fn usual_mote() -> toml::Table {
     mote.insert("report_every_half_turns".to_string(), i64::from(usual.report_every_half_turns).into());
     mote.insert("max_angle_age_ms".to_string(), usual.max_angle_age_ms.into());
     mote
+}
+
+/// No mote times a laser better than this, mrad: what the 2020 recording's angles differ by from one sweep to the next.
+/// On the flight's calibrate window the tracker's error is within a twentieth of its least from 0.3 to 0.8.
+const LEAST_NOISE_MRAD: f64 = 0.5;
+
+/// How far light is believed, from how sweeps scatter that were not fitted.
+pub fn angle_noise_mrad(held_out: &HeldOut) -> f64 {
+    let rotors = held_out.rms.as_flattened();
+    let noise = (rotors.iter().map(|rms| rms * rms).sum::<f64>() / rotors.len() as f64).sqrt();
+    // Not a number: the most cautious.
+    let mrad = if noise.is_nan() { f64::INFINITY } else { 1000.0 * noise };
+    (100.0 * mrad.clamp(LEAST_NOISE_MRAD, schema::ANGLE_NOISE_LIMITS_MRAD.1)).round() / 100.0
 }
 
 /// What stands under `[mote]` in a room file.

@@ -24,8 +24,6 @@ const ROUNDS: usize = 4;
 #[derive(Clone, Debug)]
 pub(super) struct Judged {
     pub held_out: HeldOut,
-    /// Root mean square of the residuals, each at most the limit it was judged by, radians.
-    pub clipped_rms: f64,
 }
 
 /// Fits with each block left out, and looks at what was left out; residuals count as at most `limit` per rotor.
@@ -69,12 +67,12 @@ pub(super) fn judge(data: Data<'_>, guess: Guess, free: Free, limit: &[[f64; 2];
         held_out: HeldOut {
             folds: FOLDS,
             rms: squares.map(|station| station.map(|(sum, n)| (sum / n as f64).sqrt())),
+            scatter: (clipped / count).sqrt(),
             rejected_share: f64::from(rejected) / count,
             places,
             mean_3d_m: errors.iter().sum::<f64>() / places as f64,
             median_3d_m: median(&mut errors),
         },
-        clipped_rms: (clipped / count).sqrt(),
     }
 }
 

@@ -243,7 +243,7 @@ fn descend(mut station: Fitted, sights: &[Sight], doubt: f64, steps: usize) -> (
 /// Mean cost, and the normal equations of the next step.
 fn equations(station: &Fitted, sights: &[Sight], doubt: f64) -> (f64, [[f64; 6]; 6], [f64; 6]) {
     let mut cost = 0.0;
-    let mut square = [[0.0; 6]; 6];
+    let mut square = [[0.0f64; 6]; 6];
     let mut slope = [0.0; 6];
     for sight in sights {
         let c = station.see(sight.place);
@@ -268,12 +268,8 @@ fn equations(station: &Fitted, sights: &[Sight], doubt: f64) -> (f64, [[f64; 6];
             }
         }
     }
-    for i in 0..6 {
-        for j in i + 1..6 {
-            square[i][j] = square[j][i];
-        }
-    }
-    (cost / sights.len() as f64, square, slope)
+    let whole = std::array::from_fn(|i| std::array::from_fn(|j| square[i.max(j)][i.min(j)]));
+    (cost / sights.len() as f64, whole, slope)
 }
 
 /// Whether two poses are more than a step of the descent apart.

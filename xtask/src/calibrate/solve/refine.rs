@@ -228,10 +228,10 @@ impl Data<'_> {
         }
         for s in 0..2 {
             for axis in 0..2 {
-                for k in 0..free.terms {
+                for (k, spread) in SPREAD.iter().enumerate().take(free.terms) {
                     let at = s * PER_STATION + 6 + axis * TERMS + k;
-                    normal.square[at][at] += 1.0 / (SPREAD[k] * SPREAD[k]);
-                    normal.slope[at] -= guess.stations[s].terms[axis][k] / (SPREAD[k] * SPREAD[k]);
+                    normal.square[at][at] += 1.0 / (spread * spread);
+                    normal.slope[at] -= guess.stations[s].terms[axis][k] / (spread * spread);
                 }
             }
         }

@@ -66,20 +66,85 @@ fn the_same_seed_gives_the_same_room() {
 
 #[test]
 fn clocks_that_differ_are_brought_together_to_a_millisecond() {
-    let kind = Kind { outliers: 0.05, instants: 900, ..QUICK };
-    for (seed, shift) in [(1, 7.3217), (2, -3.0081)] {
+    let kind = Kind { outliers: 0.05, instants: 600, ..QUICK };
+    for (seed, shift) in [(1, 4.3217), (2, -3.0081)] {
         let mut room = simulate(&kind, seed);
         for sample in &mut room.truth {
             sample.at_s += shift;
         }
         // Motion capture that lost the mote for a while.
         room.truth.retain(|sample| !(10.0..11.5).contains(&(sample.at_s - shift)));
-        let options = Options { offset_search_s: Some((-10.0, 10.0)), ..ideal_rotors() };
+        let options = Options { offset_search_s: Some((-5.0, 5.0)), ..ideal_rotors() };
         let solution = solved(&room, &options).unwrap();
         assert!((solution.offset_s - shift).abs() < 0.001, "{} instead of {shift}", solution.offset_s);
         let across = |r: &&Residual| (10.1..11.4).contains(&r.at_s);
         assert_eq!(solution.residuals.iter().filter(across).count(), 0, "no truth is made up in its gaps");
     }
+}
+
+#[test]
+fn truth_that_comes_late_on_the_mote_s_own_clock_is_noticed() {
+    let kind = Kind { instants: 400, ..QUICK };
+    for (seed, late_s) in [(1, 0.0145), (2, 0.0)] {
+        let mut room = simulate(&kind, seed);
+        for sample in &mut room.truth {
+            sample.at_s += late_s;
+        }
+        let solution = solved(&room, &Options { late: true, ..ideal_rotors() }).unwrap();
+        assert!((solution.offset_s - late_s).abs() < 0.0005, "{} instead of {late_s}", solution.offset_s);
+        let said = solution.evidence.iter().any(|said| said.contains("ms late"));
+        assert_eq!(said, late_s > 0.0, "{:?}", solution.evidence);
+    }
+}
+
+#[test]
+fn a_truth_that_is_much_too_late_is_no_truth() {
+    let mut room = simulate(&Kind { instants: 400, ..QUICK }, 1);
+    for sample in &mut room.truth {
+        sample.at_s += 0.3;
+    }
+    let trouble = solved(&room, &Options { late: true, ..ideal_rotors() }).unwrap_err();
+    assert!(matches!(trouble, Trouble::OffsetAtEdge { .. } | Trouble::Unexplained { .. }), "{trouble}");
+}
+
+#[test]
+fn an_offset_beyond_the_search_is_said_to_be_there() {
+    let mut room = simulate(&Kind { instants: 600, ..QUICK }, 1);
+    for sample in &mut room.truth {
+        sample.at_s += 1.4;
+    }
+    let options = Options { offset_search_s: Some((-1.0, 1.0)), ..ideal_rotors() };
+    let trouble = solved(&room, &options).unwrap_err();
+    let Trouble::OffsetAtEdge { offset_s, searched } = trouble else { panic!("{trouble}") };
+    assert!((offset_s - 1.4).abs() < 0.1 && searched == (-1.0, 1.0), "{trouble}");
+    assert!(trouble.to_string().contains("search further"), "{trouble}");
+}
+
+#[test]
+fn a_mote_that_creeps_leaves_the_offset_open() {
+    let mut room = simulate(&Kind { noise: 0.005, instants: 100, ..QUICK }, 1);
+    // A twentieth of the pace, and sighted as seldom.
+    for sample in &mut room.truth {
+        sample.at_s *= 20.0;
+    }
+    let ends: Vec<TruthSample> = room.truth.clone();
+    room.truth = ends
+        .windows(2)
+        .flat_map(|pair| {
+            let (a, b) = (pair[0], pair[1]);
+            (0..10).map(move |k| f64::from(k) / 10.0).map(move |part| TruthSample {
+                at_s: a.at_s + part * (b.at_s - a.at_s),
+                position: a.position + part * (b.position - a.position),
+            })
+        })
+        .collect();
+    for sighting in &mut room.sightings {
+        sighting.at_s *= 20.0;
+    }
+    let options = Options { offset_search_s: Some((-2.0, 2.0)), ..ideal_rotors() };
+    let trouble = solved(&room, &options).map(|solution| solution.evidence).unwrap_err();
+    assert!(matches!(trouble, Trouble::OffsetUnknown { .. }), "{trouble}");
+    assert!(trouble.to_string().contains("only known to"), "{trouble}");
 }
 
 #[test]
@@ -98,9 +163,9 @@ fn a_mote_at_rest_does_not_tell_the_clocks_apart() {
 
 #[test]
 fn phases_are_fitted_where_there_are_some() {
-    let kind = Kind { noise: 0.002, instants: 900, factory: [0.04, 0.0], ..QUICK };
+    let kind = Kind { noise: 0.002, instants: 600, factory: [0.04, 0.0], ..QUICK };
     let mut fitted = 0;
-    for seed in 0..4 {
+    for seed in 0..3 {
         let room = simulate(&kind, seed);
         let solution = solved(&room, &Options::default()).unwrap();
         assert!(solution.evidence[0].starts_with("Rotor phases"), "{:?}", solution.evidence);
@@ -111,7 +176,7 @@ fn phases_are_fitted_where_there_are_some() {
             assert!(angles_off(found, is, &room.truth) < 0.1);
         }
     }
-    assert!(fitted >= 2, "{fitted} of 4 rooms");
+    assert!(fitted >= 2, "{fitted} of 3 rooms");
 }
 
 #[test]
@@ -267,6 +332,38 @@ fn truth_of_another_take_is_named() {
 }
 
 #[test]
+fn a_short_walk_is_not_found_somewhere_in_a_minute_of_another_take() {
+    let walk = |instants| Kind { noise: 0.003, outliers: 0.03, instants, ..QUICK };
+    // 5 and 12 seconds.
+    for (instants, seed) in [(150, 0), (360, 0), (360, 1), (360, 2)] {
+        let room = simulate(&walk(instants), seed);
+        let mut other = simulate(&walk(1800), seed + 100).truth;
+        let by = room.truth[0].position - other[900].position;
+        for sample in &mut other {
+            sample.position += by;
+        }
+        let options = Options { offset_search_s: Some((-5.0, 50.0)), ..Options::default() };
+        let said = solve(&room.sightings, &other, &options, &mut |_, _| {}).map(|solution| solution.held_out);
+        match said {
+            // Of the longer walks a part may lie beyond the truth's end.
+            Err(Trouble::TooShort { length_s, .. }) => assert!(length_s < 10.0),
+            Err(Trouble::Unexplained { .. } | Trouble::Mirrored { .. }) => assert_eq!(instants, 360),
+            other => panic!("{instants} instants of take {seed}: {other:?}"),
+        }
+    }
+}
+
+#[test]
+fn room_656_was_once_wrong_and_believed() {
+    // The first draw misses station A's valley, and what it finds instead explains half of its sightings.
+    let room = simulate(&Kind::ORACLE, 656);
+    let solution = solved(&room, &Options { seed: 656, ..ideal_rotors() }).unwrap();
+    for (found, is) in solution.stations.iter().zip(&room.stations) {
+        assert!(errors(found, is).1 < 6.2, "{:?}", errors(found, is));
+    }
+}
+
+#[test]
 fn stations_that_changed_places_are_named() {
     let room = simulate(&QUICK, 11);
     let [a, b] = room.stations.each_ref().map(|station| station.position);
@@ -331,4 +428,19 @@ fn a_flight_with_given_factory_terms_is_solved() {
     let solution = solve(&sightings, &truth, &Options { factory: Some(factory), ..Options::default() }, &mut |_, _| {});
     let solution = solution.unwrap();
     assert!(solution.held_out.mean_3d_m < 0.0085, "{:?}", solution.held_out);
+}
+
+#[test]
+fn the_flight_s_truth_is_late_and_its_rotors_have_every_term() {
+    let Some(recording) = shared_recording("crazyflie-lh1-flight") else {
+        return;
+    };
+    let recording = recording.sensor(0).unwrap();
+    let (sightings, truth) = window(&recording, 0.0);
+    let solution = solve(&sightings, &truth, &Options { late: true, ..Options::default() }, &mut |_, _| {}).unwrap();
+    // Any of the four photodiodes says 14.0 to 14.7 ms, with or without the factory's terms.
+    assert!((0.0135..0.0155).contains(&solution.offset_s), "{}", solution.offset_s);
+    assert!(solution.stations.iter().flat_map(|station| &station.factory).all(|rotor| rotor.gibmag > 0.0));
+    // 0.3 mrad at 4 m, two stations.
+    assert!(solution.held_out.mean_3d_m < 0.0022, "{:?}", solution.held_out);
 }

@@ -41,6 +41,13 @@ pub enum Trouble {
         /// As many are needed.
         needed: usize,
     },
+    /// The clocks are to be brought together, and there is too little for chance to be ruled out.
+    TooShort {
+        /// From the first to the last sighting with truth, seconds.
+        length_s: f64,
+        /// As long it must be, seconds.
+        needed_s: f64,
+    },
     /// The clocks cannot be brought together by a mote that stands still.
     AtRest {
         /// Root mean square, m/s.
@@ -104,7 +111,7 @@ pub enum Trouble {
     Unexplained {
         /// Median residual, degrees.
         median_deg: f64,
-        /// Share of the sightings that are within a degree.
+        /// Share of the sightings that are within a degree, of the station that has fewer.
         share: f64,
     },
     /// A stands where the given room has B, and B where it has A.
@@ -137,6 +144,11 @@ impl fmt::Display for Trouble {
                  carry the mote for longer, and check that both recordings cover the same time",
                 name(*station),
                 rotor(*axis)
+            ),
+            Trouble::TooShort { length_s, needed_s } => write!(
+                f,
+                "only {length_s:.1} s have both light and truth, and where so little belongs in the truth's time can be \
+                 chance; {needed_s:.0} s are needed: carry the mote for longer"
             ),
             Trouble::AtRest { speed_m_per_s } => write!(
                 f,

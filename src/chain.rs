@@ -330,7 +330,10 @@ impl Solver {
             track::Step::Refused | track::Step::OutOfView => self.disbelieved = self.disbelieved.wrapping_add(1),
             track::Step::Idle | track::Step::Lost => {
                 if let Some(fix) = fix::newest(&config.fix, &mut self.fix, bearing.at, bearing.half_turn) {
-                    track::start(&config.track, &config.room, &mut self.track, fix.position, fix.mismatch);
+                    let room = &config.room;
+                    if !track::start(&config.track, room, &mut self.track, fix.position, fix.mismatch) {
+                        self.disbelieved = self.disbelieved.wrapping_add(1);
+                    }
                 }
             }
         }

@@ -67,6 +67,9 @@ pub struct Config {
     /// The track ends when the sweeps of one rotor were refused so many times in a row. A rotor sweeps once in 4 half
     /// turns, so 8 take at least 0.23 s.
     pub doubt_count: u32,
+    /// While the sweeps of one rotor were refused so many times in a row the level is not [`Level::Full`]. A sweep that
+    /// is believed although its plane lies 2.5 cm from the estimate leaves as much doubt.
+    pub doubtful: u32,
     /// A station counts as seen for this long after a sweep of it was believed.
     pub fresh: u32,
     /// The track ends when the variances of the three axes sum up to more than this, Q32 m^2; at most 0.3^2.
@@ -90,6 +93,7 @@ impl Config {
         start_mismatch: (0.02 * Q16) as i32,
         lost_after: 48 * PER_HALF_TURN,
         doubt_count: 8,
+        doubtful: 2,
         fresh: 24 * PER_HALF_TURN,
         variance_limit: (0.3 * 0.3 * Q32) as i32,
         sd_limit: (0.15 * Q16) as i32,
@@ -233,13 +237,13 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
     if !room.stations.iter().all(|station| station.lights(position)) {
         return false;
     }
+    let now = state.now;
     if state.tracking {
         state.elsewhere = state.elsewhere.saturating_add(1);
         if state.elsewhere < config.doubt_count {
             return false;
         }
     }
-    let now = state.now;
     *state = State {
         tracking: true,
         heard: true,
@@ -287,6 +291,12 @@ pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> S
             state.refused[station][sweep.axis as usize] = 0;
             return Step::Believed;
         }
+        filter::Outcome::Leapt => {
+            state.believed = now;
+            state.seen[station] = now;
+            state.refused[station][sweep.axis as usize] = config.doubtful;
+            return Step::Believed;
+        }
         filter::Outcome::Refused => {
             let count = &mut state.refused[station][sweep.axis as usize];
             *count = count.saturating_add(1);
@@ -315,7 +325,9 @@ pub fn report(config: &Config, state: &State, elapsed: u32) -> Track {
     let sd = variance.map(root::square_root);
     let level = if sd.iter().any(|sd| *sd > config.sd_limit) {
         Level::Angles
-    } else if state.seen.iter().all(|then| since(*then) <= config.fresh) {
+    } else if state.seen.iter().all(|then| since(*then) <= config.fresh)
+        && state.refused.iter().flatten().all(|refused| *refused < config.doubtful)
+    {
         Level::Full
     } else {
         Level::Tracked

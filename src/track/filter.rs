@@ -18,6 +18,9 @@ use crate::sweep::Axis;
 const BITS: u32 = 18;
 /// An innovation of an eighth of a metre is no innovation, Q18 m.
 const INNOVATION_BITS: u32 = 15;
+/// A believed innovation that takes the level, Q18 m: 2.5 cm, which moves a fix by up to the 5 cm that are wrong. At 3 cm
+/// mirrored sweeps still made wrong fixes.
+const LEAP: i32 = (0.025 * (1 << 18) as f64) as i32;
 /// Covariances are carried at most so many half turns at a time: further, the largest would pass 2^31. The position is
 /// carried by its velocity no further than that: 0.13 s.
 const STRIDE: u32 = 16;
@@ -54,6 +57,8 @@ pub(super) struct Estimate {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Outcome {
     Believed,
+    /// Believed, and the estimate was far from it.
+    Leapt,
     Refused,
     Lost,
 }
@@ -202,6 +207,9 @@ impl Estimate {
         told.moves_velocity(dot(xu, yu, zu), tu, pu);
         told.moves_velocity(dot(xv, yv, zv), tv, pv);
         told.moves_velocity(dot(xw, yw, zw), tw, pw);
+        if beside.wrapping_add(LEAP).cast_unsigned() > 2 * LEAP.cast_unsigned() {
+            return Outcome::Leapt;
+        }
         Outcome::Believed
     }
 
@@ -356,7 +364,7 @@ impl Told {
 /// Whether `value` needs more than `bits` bits and a sign.
 #[inline(always)]
 fn beyond(value: i32, bits: u32) -> bool {
-    value.wrapping_add(1 << bits) >> (bits + 1) != 0
+    (value >> bits).wrapping_add(1).cast_unsigned() > 1
 }
 
 /// Every value is in its place in memory here. Costs nothing, and saves the copies on the stack that the compiler would

@@ -399,6 +399,35 @@ fn a_sweep_outside_the_field_of_view_changes_nothing() {
 }
 
 #[test]
+fn a_rotor_that_is_refused_twice_or_believed_far_off_takes_the_level() {
+    let stations = two_stations();
+    let mut tracker = Tracker::new(&stations);
+    let path = hand_held(12, 2.0, CLEAR, &stations);
+    path.iter().for_each(|sighting| {
+        tracker.sweep(sighting);
+    });
+    let last = path.last().expect("a path");
+    let after = |state: &mut State, half_turns: u16, off: f64| {
+        let sweep = Sweep {
+            station: [Station::A, Station::B][last.station],
+            axis: [Axis::Azimuth, Axis::Elevation][last.axis],
+            angle: Angle(units(last.angle + off)),
+            elapsed: 256 * half_turns,
+        };
+        let outcome = step(&CONFIG, &tracker.room, state, &sweep);
+        (outcome, report(&CONFIG, state, 0).level)
+    };
+    let mut state = tracker.state.clone();
+    assert_eq!(after(&mut state, 4, 0.2), (Step::Refused, Level::Full));
+    assert_eq!(after(&mut state, 1, 0.2), (Step::Refused, Level::Tracked));
+    assert_eq!(after(&mut state, 1, 0.0), (Step::Believed, Level::Full));
+    // Long enough in the dark for some centimetres to be believed.
+    let leaps: Vec<_> = (0..20).map(|n| after(&mut tracker.state.clone(), 16, 0.005 * f64::from(n))).collect();
+    assert_eq!(leaps[0], (Step::Believed, Level::Full));
+    assert!(leaps.contains(&(Step::Believed, Level::Tracked)), "{leaps:?}");
+}
+
+#[test]
 fn a_track_begun_in_the_wrong_place_is_given_up() {
     let stations = two_stations();
     let mut tracker = Tracker::new(&stations);
@@ -475,15 +504,15 @@ proptest! {
         sweeps in prop::collection::vec(any_sweep(), 1..100),
         position in any::<[i32; 3]>(),
         numbers in any::<[i32; 6]>(),
-        times in any::<[u32; 3]>(),
+        times in any::<[u32; 4]>(),
         rotation in any::<[[i32; 3]; 3]>(),
     ) {
         let [noise, agility, gate, start_position, start_velocity, variance_limit] = numbers;
-        let [lost_after, doubt_count, fresh] = times;
+        let [lost_after, doubt_count, doubtful, fresh] = times;
         let lost_after = lost_after & 0x3fff;
         let config = Config {
             noise, agility, gate, start_position, start_velocity, variance_limit,
-            lost_after, doubt_count, fresh, ..CONFIG
+            lost_after, doubt_count, doubtful, fresh, ..CONFIG
         };
         let pose = Pose { axes: Matrix3::from(rotation), position: Vector3::from(position) };
         let room = Room { stations: [pose; 2] };

@@ -111,7 +111,7 @@ impl Twin {
             return if self.tracking { Step::Refused } else { Step::Lost };
         }
         self.believed = 0.0;
-        self.refused[which][axis] = 0;
+        self.refused[which][axis] = if innovation.abs() > 0.025 { config.doubtful } else { 0 };
         for i in 0..3 {
             self.position[i] += ph[i] * innovation / variance;
             self.velocity[i] += vh[i] * innovation / variance;

@@ -12,6 +12,7 @@ mod curves;
 mod figures;
 mod list;
 mod play;
+mod reason;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -63,11 +64,10 @@ const MOST_WRONG: usize = 20;
 
 /// Promises that the firmware breaks as it is, by scene, with the reason.
 const UNTIL_MET: [(&str, Promise); 2] = [
-    // The first pulse of a slot that could be a sweep is taken for it. Mirrored ones that come before it agree with each
-    // other, so the tracker starts anew at their fixes.
-    ("reflections", Promise::NoWrongGood),
-    // The same with pulses at random; each spoils an angle or a start of the tracker.
-    ("remote-control", Promise::NoWrongGood),
+    // While the strobe covers both flashes of one half of each turn, their place is known from before; when they are
+    // back the cycle follows them at a distance that grows. All angles of that rotor are off by the same, so the rays meet.
+    ("strobe-60hz-1ms", Promise::NoWrongGood),
+    ("strobe-60hz-1ms", Promise::Recovery),
 ];
 
 /// Promises that no mote with one photodiode and two stations can keep, by scene.
@@ -294,12 +294,13 @@ fn alone(image: Image, named: &Named, calibration: &Calibration) -> Result<()> {
 /// Above the lines of the scenes; errors are of fixes of level full, but for the one of level tracked.
 const HEADING: &str = "\
 scene                   fixes   sweeps followed by   error of good fixes, cm   tracked    wrong  recovery first fix  locks         other
-                  good  track   any fix    a good  median     p95    worst     worst     good        ms        ms   lost crash frames  promises broken";
+                  good  track   any fix    a good  median     p95    worst     worst     good        ms        ms   lost crash frames  reasons in health; promises broken";
 
 fn line(name: &str, figures: &Figures) -> String {
-    let broken: Vec<String> = figures.broken().iter().map(ToString::to_string).collect();
+    let broken: Vec<String> = figures.broken().iter().map(|promise| format!("; BROKEN: {promise}")).collect();
+    let reasons: Vec<String> = figures.reasons.iter().map(ToString::to_string).collect();
     format!(
-        "{name:<20} {:>4} {:>5} {:>7} % {:>7} % {:>7} {:>7} {:>8} {:>9} {:>8} {:>9} {:>9} {:>6} {:>5} {:>6}  {}",
+        "{name:<20} {:>4} {:>5} {:>7} % {:>7} % {:>7} {:>7} {:>8} {:>9} {:>8} {:>9} {:>9} {:>6} {:>5} {:>6}  {}{}",
         figures.good,
         figures.tracked,
         figure(figures.coverage, 1),
@@ -314,7 +315,8 @@ fn line(name: &str, figures: &Figures) -> String {
         figures.locks_lost,
         figures.crashes,
         figures.other_frames + figures.garbled,
-        broken.join(", ")
+        reasons.join(", "),
+        broken.concat().trim_start_matches(if reasons.is_empty() { "; " } else { "" })
     )
 }
 
@@ -350,6 +352,7 @@ fn summarised(rows: &[(&Named, &Figures)], curves: &curves::Curves) -> Value {
                 "crashes": figures.crashes,
                 "other_frames": figures.other_frames,
                 "garbled_frames": figures.garbled,
+                "reasons": figures.reasons.iter().map(ToString::to_string).collect::<Vec<_>>(),
                 "promises_broken": broken,
             });
             (named.name.clone(), row)

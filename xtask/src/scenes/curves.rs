@@ -144,7 +144,14 @@ fn curve(image: Image, name: &'static str, unit: &'static str, places: Vec<(f64,
         &places,
         |(at, scene)| {
             let first_light_s = scene.timing.first_sync_s;
-            let take = Take { scene: scene.clone(), seed: 1, first_light_s, due_again_s: Vec::new(), wrap_s: None };
+            let take = Take {
+                scene: scene.clone(),
+                seed: 1,
+                first_light_s,
+                due_again_s: Vec::new(),
+                wrap_s: None,
+                reasons: &[],
+            };
             Ok(point(*at, &play(image.elf, image.strings, &take)?))
         },
         |n, point| {

@@ -2,12 +2,15 @@
 //!
 //! What can go wrong: a mote that keeps silent makes no errors. Coverage and recovery stand beside them.
 
+use std::collections::BTreeSet;
+
 use lighthouse_mote::frame::Level;
 use xtask::light::quantile;
 use xtask::score::Score;
 
 use super::list::Take;
 use super::play::{Fix, Played};
+use super::reason::{Reason, said};
 use crate::run::HALF_TURN_S;
 
 /// Nobody calls a fix wrong that is nearer than this, metres: the worst axis of the 2020 paper's own run had an RMS
@@ -20,6 +23,8 @@ const UNKNOWABLE_M: f64 = 0.01;
 /// Standard deviations that a user may rely on: beyond 5 a Gaussian puts one in two million, and all scenes together
 /// have tens of thousands of fixes.
 const SIGMAS: f64 = 5.0;
+/// A mote that has just begun to see light need not give reasons yet, seconds.
+const SETTLING_S: f64 = 1.0;
 /// A good fix comes back by then, milliseconds.
 pub(super) const RECOVERY_MS: f64 = 200.0;
 
@@ -49,9 +54,13 @@ pub(super) struct Figures {
     pub(super) edges_lost: u16,
     /// Resets and stops.
     pub(super) crashes: u32,
-    /// Frames other than fixes, and frames that cannot be read.
+    /// Frames other than fixes and health, and frames that cannot be read.
     pub(super) other_frames: u32,
     pub(super) garbled: u32,
+    /// What the health frames give as reasons, from a second after the first light on.
+    pub(super) reasons: Vec<Reason>,
+    /// Takes whose health names none of the reasons that it should.
+    pub(super) unsaid: usize,
 }
 
 /// What a scene can break.
@@ -63,6 +72,8 @@ pub(super) enum Promise {
     NoWrongGood,
     /// A good fix within [`RECOVERY_MS`] of the light's return.
     Recovery,
+    /// Where no good fix can come for seconds, health names the reason.
+    Reason,
 }
 
 impl std::fmt::Display for Promise {
@@ -71,6 +82,7 @@ impl std::fmt::Display for Promise {
             Self::NoCrash => "crash",
             Self::NoWrongGood => "wrong-good",
             Self::Recovery => "recovery",
+            Self::Reason => "reason",
         })
     }
 }
@@ -106,6 +118,11 @@ impl Figures {
             let covered: usize = takes.iter().map(|(_, played)| covered(played, every_s, wanted)).sum();
             100.0 * covered as f64 / scored.max(1) as f64
         };
+        let reasons: Vec<_> =
+            takes.iter().map(|(take, played)| said(&played.health, take.first_light_s + SETTLING_S)).collect();
+        let unsaid = takes.iter().zip(&reasons).filter(|((take, _), reasons)| {
+            !take.reasons.is_empty() && !take.reasons.iter().any(|reason| reasons.contains(reason))
+        });
         let most = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::NAN, f64::max);
         let sum = |count: fn(&Played) -> u32| takes.iter().map(|(_, played)| count(played)).sum();
         Self {
@@ -129,6 +146,8 @@ impl Figures {
             crashes: sum(|played| played.resets + u32::from(played.halted.is_some())),
             other_frames: sum(|played| played.other_frames),
             garbled: sum(|played| played.garbled),
+            unsaid: unsaid.count(),
+            reasons: reasons.iter().flatten().copied().collect::<BTreeSet<_>>().into_iter().collect(),
         }
     }
 
@@ -139,6 +158,7 @@ impl Figures {
             (Promise::NoWrongGood, self.wrong_good > 0),
             // Where nothing was due the time is no number, and not above.
             (Promise::Recovery, self.recovery_ms > RECOVERY_MS),
+            (Promise::Reason, self.unsaid > 0),
         ]
         .into_iter()
         .filter_map(|(promise, broken)| broken.then_some(promise))

@@ -10,12 +10,32 @@ use sim::world::Scene;
 use sim::world::receiver::{Line, LineFault, Mirror, Strobe};
 use sim::world::station::{Hides, Moved, Occlusion, Station};
 
+use super::reason::Reason;
+
 /// A cycle of four slots, seconds.
 const CYCLE_S: f64 = 4.0 / 120.0;
 /// Phases of the cycle that are tried.
 const PHASES: u32 = 64;
 /// What is disturbed is disturbed from here on: lock and track are settled, seconds.
 const SETTLED_S: f64 = 3.0;
+/// What the mote's health is to name, one of these, where no good fix can come for seconds. A health frame comes once a
+/// second, so shorter gaps have none to themselves.
+const REASONS: [(&str, &[Reason]); 13] = [
+    ("occlusion-a-10s", &[Reason::ADark, Reason::OneStation]),
+    ("occlusion-b-10s", &[Reason::BDark, Reason::OneStation]),
+    ("occlusion-both-1s", &[Reason::NoLight]),
+    ("occlusion-both-10s", &[Reason::NoLight]),
+    ("stuck-high-1s", &[Reason::NoLight]),
+    ("stuck-high-10s", &[Reason::NoLight]),
+    ("stuck-low-1s", &[Reason::NoLight]),
+    ("stuck-low-10s", &[Reason::NoLight]),
+    // Rays that miss each other, too far for a track to begin or for a fix at all, or that meet outside the room.
+    ("swapped", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
+    ("moved-up-10cm", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
+    ("moved-tilted-5deg", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
+    ("single-a", &[Reason::OneStation]),
+    ("single-b", &[Reason::OneStation]),
+];
 /// Walks of most scenes.
 const WALKS: u64 = 5;
 /// The first flash where the timer is set before it, seconds: bring-up is over.
@@ -40,12 +60,14 @@ pub(super) struct Take {
     pub(super) due_again_s: Vec<f64>,
     /// When the mote's 32-bit counter wraps, true seconds; without it, as it comes.
     pub(super) wrap_s: Option<f64>,
+    /// Where no good fix can come for seconds: the mote's health names one of these reasons.
+    pub(super) reasons: &'static [Reason],
 }
 
 fn take(length_s: f64, seed: u64) -> Take {
     let scene = Scene { length_s, ..Scene::default() };
     let first_light_s = scene.timing.first_sync_s;
-    Take { scene, seed, first_light_s, due_again_s: Vec::new(), wrap_s: None }
+    Take { scene, seed, first_light_s, due_again_s: Vec::new(), wrap_s: None, reasons: &[] }
 }
 
 /// A scene on several walks.
@@ -68,6 +90,10 @@ pub(super) fn all() -> Vec<Named> {
     rooms(&mut all);
     starts(&mut all);
     clocks(&mut all);
+    for named in &mut all {
+        let reasons = REASONS.iter().find(|(name, _)| *name == named.name).map_or(&[][..], |(_, reasons)| reasons);
+        named.takes.iter_mut().for_each(|take| take.reasons = reasons);
+    }
     all
 }
 
@@ -303,6 +329,7 @@ mod tests {
             }
         }
         assert_eq!(all.iter().map(|named| &named.name).collect::<BTreeSet<_>>().len(), all.len());
+        assert!(REASONS.iter().all(|(name, _)| all.iter().any(|named| named.name == *name)));
     }
 
     #[test]

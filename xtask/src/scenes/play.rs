@@ -7,7 +7,7 @@ use std::num::NonZeroU32;
 
 use anyhow::{Context, Result};
 use defmt_decoder::Table;
-use lighthouse_mote::frame::{self, Level};
+use lighthouse_mote::frame::{self, Health, Level};
 use sim::mote::Mote;
 use sim::world::{EventKind, World};
 use xtask::pcap;
@@ -54,7 +54,9 @@ pub(super) struct Played {
     pub(super) resets: u32,
     /// Why the mote stopped, if it did.
     pub(super) halted: Option<String>,
-    /// Frames of a kind this program does not know, and frames that cannot be read.
+    /// What the mote said of itself once a second, and when, true seconds.
+    pub(super) health: Vec<(f64, Health)>,
+    /// Frames of a kind that no scene asks for, and frames that cannot be read.
     pub(super) other_frames: u32,
     pub(super) garbled: u32,
     pub(super) log: Vec<String>,
@@ -63,7 +65,7 @@ pub(super) struct Played {
 /// What one frame says.
 enum Heard {
     Fix(u16, frame::Report),
-    /// Where a health message will go, with its reason for a column of its own, once the library reads it.
+    Health(Box<Health>),
     Other,
     Garbled,
 }
@@ -71,6 +73,7 @@ enum Heard {
 fn hear(bytes: &[u8]) -> Heard {
     match frame::parse(bytes) {
         Ok((header, frame::Message::Fix(report))) => Heard::Fix(header.sequence, report),
+        Ok((_, frame::Message::Health(health))) => Heard::Health(Box::new(health)),
         Ok(_) => Heard::Other,
         Err(frame::Reject::Kind) => Heard::Other,
         Err(_) => Heard::Garbled,
@@ -133,6 +136,7 @@ pub(super) fn play(elf: &[u8], strings: &'static Table, take: &Take) -> Result<P
                     };
                     played.fixes.push(Fix { row, sent_s, level: report.level, sd_m: report.sd.map(f64::from) });
                 }
+                Heard::Health(health) => played.health.push((sent_s, *health)),
                 Heard::Other => played.other_frames += 1,
                 Heard::Garbled => played.garbled += 1,
             }

@@ -72,7 +72,7 @@ const BUDGETS: [Budget; 8] = [
     Budget {
         figure: "track.instructions.most_less_empty",
         most: 600,
-        until_met: None,
+        until_met: Some(608),
         what: "instructions of a tracker step",
     },
     Budget { figure: "edge.own_cycles", most: 60, until_met: None, what: "cycles of an edge handler of its own" },

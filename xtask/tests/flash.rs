@@ -550,8 +550,8 @@ fn what_a_programmer_received_boots_as_the_mote_asked_for_and_finds_itself() {
         assert!(taken.booted && taken.calibrated);
         image::verify(&taken.memory).expect("a whole image");
         let heard = heard(&taken.memory, 3.0);
-        // The cycle is found within a second, and then there are 30 reports in each.
-        assert!(heard.len() > 50, "{} frames", heard.len());
+        // The cycle is found within half a second, and then there are 15 reports in each.
+        assert!(heard.len() > 35, "{} frames", heard.len());
         assert!(heard.iter().all(|(header, _)| (header.mote, header.pan) == (id, 0x4C48)), "{:?}", heard.first());
         // Ten times the simulated room's 3-D RMS of 0.15 cm.
         let (_, error) = heard.last().expect("frames");

@@ -143,7 +143,7 @@ fn run(input: &mut Input<'_>) -> Option<()> {
             0 => (0..=low).for_each(|_| mote.play(0, None)),
             1 => mote.play(low as u8, None),
             2 => {
-                let extra = (input.u16()? * HALF_TURN >> 16, input.u16()? * HALF_TURN >> 20);
+                let extra = ((input.u16()? * HALF_TURN) >> 16, (input.u16()? * HALF_TURN) >> 20);
                 (0..=low).for_each(|_| mote.play(0, Some(extra)));
             }
             3 => {
@@ -158,7 +158,7 @@ fn run(input: &mut Input<'_>) -> Option<()> {
                 let health = mote.chain.health(&mote.config, now);
                 assert_eq!(parse(&emit_health(HEADER, &health)), Ok((HEADER, Message::Health(health))));
             }
-            6 => mote.sweep_after[(low >> 1 & 1) as usize][(low & 1) as usize] = input.u16()? * HALF_TURN >> 16,
+            6 => mote.sweep_after[(low >> 1 & 1) as usize][(low & 1) as usize] = (input.u16()? * HALF_TURN) >> 16,
             _ => {
                 mote.slot += low;
                 mote.clock = mote.clock * 99 / 100 + u64::from(input.byte()?) * mote.clock / 12_800;

@@ -404,7 +404,7 @@ mod tests {
             // Beyond that the track is over.
             prop_assume!(spread <= config.variance_limit);
             prop_assert_eq!(position, later.position.map(|axis| axis >> 8));
-            prop_assert_eq!(velocity, later.velocity.map(|axis| axis * 120 >> 6));
+            prop_assert_eq!(velocity, later.velocity.map(|axis| (axis * 120) >> 6));
             let [xx, _, _, yy, _, zz] = later.pp;
             prop_assert_eq!(variances, [xx, yy, zz]);
         }

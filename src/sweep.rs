@@ -16,7 +16,7 @@
 //! has the long skip bit. It gives axis and skip, so that the width has only the data bit to tell, and the receiver's
 //! bias, which is learnt on the way.
 //!
-//! No clock rate is assumed anywhere. The search looks for two pairs of flashes whose distance is 18 to 24 times
+//! No clock rate is assumed anywhere. The search looks for two pairs of flashes whose distance is 18.3 to 24.2 times
 //! their inner gap; that distance is the half turn, and every later window is a share of it.
 //!
 //! What can go wrong: flashes are lost (the cycle goes on by dead reckoning, up to [`Config::coast_half_turns`]),

@@ -614,6 +614,83 @@ mod tests {
     }
 
     #[test]
+    fn stations_350_to_450_microseconds_apart_are_a_pair_and_no_others() {
+        let cycle = Cycle::TYPICAL;
+        for (gap, is_pair) in [(340, false), (350, true), (380, true), (417, true), (450, true), (460, false)] {
+            let mut state = State::default();
+            for (truth, pulse) in cycle.pulses(0, 40) {
+                let of = match truth {
+                    Truth::Sync(sync) => sync.station,
+                    Truth::Sweep(station, _) => station,
+                };
+                let start = match of {
+                    Station::A => pulse.start,
+                    Station::B => pulse.start.before(cycle.span(20_000)).after(cycle.span(48 * gap)),
+                };
+                step(&CONFIG, &mut state, Pulse { start, ..pulse });
+            }
+            let status = state.status(cycle.ticks(40 * HALF_TURN));
+            assert_eq!(status, if is_pair { Status::Locked } else { Status::Spacing }, "{gap} us");
+        }
+    }
+
+    #[test]
+    fn light_that_returns_is_understood_within_100_ms_whenever_it_does() {
+        let cycle = Cycle::TYPICAL;
+        for dark in [60, 1_200] {
+            for phase in 0..12u32 {
+                let mut state = after(cycle, 0, SURE);
+                let mut slots_until_seen = None;
+                for (n, (truth, pulse)) in (phase..).zip(cycle.pulses(SURE + dark, 17).skip(phase as usize)) {
+                    let light = step(&CONFIG, &mut state, pulse);
+                    if slots_until_seen.is_some() && matches!(truth, Truth::Sync(_)) {
+                        assert_understood(&cycle, truth, pulse, light);
+                    }
+                    if matches!(light, Some(Light::Sync(_))) && slots_until_seen.is_none() {
+                        slots_until_seen = Some((n - phase) / 3);
+                    }
+                }
+                // 12 slots are 100 ms.
+                assert!(slots_until_seen.is_some_and(|slots| slots < 12), "{slots_until_seen:?} slots from {phase}");
+                assert_eq!(state.counts().locks_lost, 1);
+            }
+        }
+    }
+
+    #[test]
+    fn the_cycle_is_known_after_four_cycles_with_a_pulse_too_many_wherever_the_mote_wakes() {
+        let cycle = Cycle::TYPICAL;
+        for phase in 0..12u32 {
+            for width in [480, 1_700, 4_500] {
+                // Anywhere in the slots that the search looks at, and a little beyond.
+                for place in 0..60 {
+                    let at = u64::from(phase) * HALF_TURN / 3 + place * 8 * HALF_TURN / 60;
+                    let added = Pulse { start: cycle.ticks(at), width: cycle.span(width) };
+                    let overlaps = |pulse: Pulse| {
+                        let apart = pulse.start.offset_from(added.start);
+                        apart <= added.width.0 as i32 && -apart <= pulse.width.0 as i32
+                    };
+                    if cycle.pulses(0, 14).any(|(_, pulse)| overlaps(pulse)) {
+                        continue;
+                    }
+                    let mut state = State::default();
+                    let mut was_added = false;
+                    for (n, (truth, pulse)) in (phase..).zip(cycle.pulses(0, 24).skip(phase as usize)) {
+                        if !was_added && pulse.start.offset_from(added.start) >= 0 {
+                            was_added = true;
+                            step(&CONFIG, &mut state, added);
+                        }
+                        let light = step(&CONFIG, &mut state, pulse);
+                        if n >= phase + 48 && (light.is_some() || matches!(truth, Truth::Sync(_))) {
+                            assert_understood(&cycle, truth, pulse, light);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
     fn why_there_is_no_lock_is_said() {
         let cycle = Cycle::TYPICAL;
         let status = |length: u64, width: u64, every: u64| {

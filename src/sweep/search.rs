@@ -7,9 +7,8 @@ use super::{HalfTurn, Status, width};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
 
-/// Half turn over the gap between the flashes of A and B. 400,000 / 20,000 at 48 MHz for a cable-synced pair;
-/// 18.5 to 23.8 for gaps of 350 to 450 us.
-const GAP_RATIO: (u32, u32) = (18, 24);
+/// Four half turns over the gap between the flashes of A and B, which is to be 350 to 450 us: 343.6 and 456.6 us.
+const GAP_RATIO: (u32, u32) = (73, 97);
 /// The longest gap that can be one between two stations at all: half turn >> this. Twice the farthest that is allowed.
 const FARTHEST_GAP_SHIFT: u32 = 3;
 /// How unequal two gaps of the same pair may be while searching: half turn >> this, 16 us.
@@ -103,7 +102,7 @@ impl Search {
                     if first_gap.abs_diff(gap) > tolerance || !is_flash(self.pulse(first_b)) {
                         continue;
                     }
-                    if length >= gap * GAP_RATIO.0 && length <= gap * GAP_RATIO.1 {
+                    if 4 * length >= gap * GAP_RATIO.0 && 4 * length <= gap * GAP_RATIO.1 {
                         return Some(Found { length, first_a, first_b, second_a });
                     }
                     self.misspaced = true;

@@ -7,16 +7,26 @@ use crate::edge::{Edge, Level};
 use crate::frame::{self, ANGLES_LEN, Angles, Header, Health, LEN, Losses, Measured, Message, Rejects, Report};
 use crate::on_target::cycle::{Cycle, HALF_TURN};
 use crate::pulse::{self, Pulse};
-use crate::sweep::{self, Axis, HALF_TURN_BITS, HalfTurn, Light, Station, Sweep};
+use crate::sweep::{self, Axis, Closed, HALF_TURN_BITS, HalfTurn, Light, Station, Sweep};
 use crate::time::{Span, Ticks};
 use crate::track::Level as Known;
 
 const CONFIG: sweep::Config = sweep::Config::DEFAULT;
 
-/// Everything that pulses give, and the pulses they gave it for.
+/// Everything that pulses give, at once and at the ends of slots, and the pulses they gave it for.
 fn lights(pulses: impl IntoIterator<Item = Pulse>) -> Vec<(Pulse, Option<Light>)> {
     let mut state = sweep::State::default();
-    pulses.into_iter().map(|pulse| (pulse, sweep::step(&CONFIG, &mut state, pulse))).collect()
+    let mut lights = Vec::new();
+    for pulse in pulses {
+        let light = sweep::step(&CONFIG, &mut state, pulse);
+        lights.push((pulse, light));
+        if !matches!(light, Some(Light::Sweep(_)))
+            && let Some(Closed::Sweep(sweep)) = state.closed()
+        {
+            lights.push((pulse, Some(Light::Sweep(sweep))));
+        }
+    }
+    lights
 }
 
 /// Everything that edges give.

@@ -20,6 +20,8 @@ const HALF_TURN: f64 = 400_000.0;
 const FRAME: usize = 18 + 17 * (1 + 17 + 2);
 /// Slots that the first lock may take: a quarter of a second, in the worse of the recordings.
 const LOCKED: u32 = 32;
+/// Pulses that begin within 100 us are of one flash; those of two stations are 417 us apart.
+const SAME: u32 = 4_800;
 /// The share of wrong or missing flashes that is allowed: 0.1 %.
 const WRONG_PER: usize = 1_000;
 
@@ -67,26 +69,40 @@ struct Seen {
     sync: Sync,
 }
 
-/// Everything understood, and how many flashes there were after the lock.
-fn understood(pulses: &[Pulse]) -> (Vec<Seen>, usize, sweep::Counts, sweep::State) {
+/// Everything understood, how many flashes there were after the lock, and how many of them were not understood.
+fn understood(pulses: &[Pulse]) -> (Vec<Seen>, usize, usize, sweep::Counts, sweep::State) {
     let (origin, half_turn) = lattice(pulses);
     let mut state = sweep::State::default();
-    let (mut seen, mut flashes) = (Vec::new(), std::collections::BTreeSet::new());
+    let mut seen = Vec::new();
+    let (mut flashes, mut missing) = (0, 0);
+    let mut begun: Option<(Ticks, bool)> = None;
     for pulse in pulses {
         let light = sweep::step(&sweep::Config::DEFAULT, &mut state, *pulse);
         let place = (f64::from(pulse.start.0) - origin) / half_turn;
-        // Either station's flash lies within a quarter of the gap from the lattice of its own. Twice the same flash is
-        // one, seen by a second photodiode a little later.
+        // Either station's flash lies within a gap and a half from the lattice of the other's.
         let slot = (place + 0.1).floor() as u32;
         let rest = place - f64::from(slot);
-        if let Some(Light::Sync(sync)) = light {
+        let is_understood = if let Some(Light::Sync(sync)) = light {
             seen.push(Seen { slot, sync });
+            true
+        } else {
+            false
+        };
+        if (seen.is_empty() && slot < LOCKED) || rest.abs() >= 0.07 {
+            continue;
         }
-        if (!seen.is_empty() || slot >= LOCKED) && rest.abs() < 0.07 {
-            flashes.insert((slot, (rest * 20.0).round() as i32));
+        // Twice the same flash is one, seen by a second photodiode a little later.
+        match &mut begun {
+            Some((start, was_understood)) if pulse.start.since(*start).0 < SAME => *was_understood |= is_understood,
+            _ => {
+                missing += usize::from(begun.is_some_and(|(_, was_understood)| !was_understood));
+                flashes += 1;
+                begun = Some((pulse.start, is_understood));
+            }
         }
     }
-    (seen, flashes.len(), state.counts(), state)
+    missing += usize::from(begun.is_some_and(|(_, was_understood)| !was_understood));
+    (seen, flashes, missing, state.counts(), state)
 }
 
 /// The frame that repeats in one station's bits, from the majority: where it begins, and its bits.
@@ -127,7 +143,7 @@ fn id(payload: &[u8]) -> u32 {
 /// `phase`: which slot of the cycle the recording begins in; a whole recording in any other would be wrong throughout.
 fn judge(name: &str, phase: u32) -> Option<[u32; 2]> {
     let pulses = recording(name)?;
-    let (seen, flashes, counts, state) = understood(&pulses);
+    let (seen, flashes, missing, counts, state) = understood(&pulses);
     let mut all_wrong = 0;
     let ids = [Station::A, Station::B].map(|station| {
         let (start, bits) = frame(&seen, station);
@@ -144,8 +160,7 @@ fn judge(name: &str, phase: u32) -> Option<[u32; 2]> {
         all_wrong += wrong;
         id(&payload(&bits))
     });
-    let missing = flashes.saturating_sub(seen.len());
-    eprintln!("{name}: {} of {flashes} flashes, {counts:?}", seen.len());
+    eprintln!("{name}: {} of {flashes} flashes, {missing} missing, {counts:?}", seen.len());
     let wrong = all_wrong + missing;
     assert!(wrong * WRONG_PER <= flashes, "{wrong} of {flashes} flashes were not understood");
     assert_eq!(counts.locks_lost, 0);

@@ -9,7 +9,7 @@
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
 
 use crate::edge::Edge;
-use crate::frame::{self, Angles, Health, Level, Lock, Losses, Measured, Rejects, Report};
+use crate::frame::{self, Angles, Health, Level, Losses, Measured, Rejects, Report};
 use crate::sweep::{Closed, HalfTurn, Light, Station, Status, Sweep, Sync};
 use crate::time::{Span, Ticks};
 use crate::{angle, fix, ootx, pulse, sweep, track};
@@ -359,7 +359,7 @@ impl Solver {
         let refused = self.fix.refused();
         let mut health = Health {
             half_turn_q8: *half_turn_q8,
-            lock: lock(*status),
+            lock: *status,
             syncs: counts.syncs,
             sweeps: counts.sweeps,
             rejects: Rejects {
@@ -566,19 +566,6 @@ impl Batch {
 
     fn hand_over(&mut self) -> Option<Angles> {
         if self.angles.sweeps.is_empty() { None } else { Some(core::mem::take(&mut self.angles)) }
-    }
-}
-
-/// The status as it travels.
-fn lock(status: Status) -> Lock {
-    match status {
-        Status::Locked => Lock::Locked,
-        Status::Searching => Lock::Searching,
-        Status::NoLight => Lock::NoLight,
-        Status::OneStation => Lock::OneStation,
-        Status::Spacing => Lock::Spacing,
-        Status::Widths => Lock::Widths,
-        Status::V2 => Lock::V2,
     }
 }
 

@@ -310,7 +310,7 @@ pub fn emit(header: Header, report: &Report) -> [u8; LEN] {
 #[inline(always)]
 pub fn emit_into(frame: &mut Aligned, header: Header, report: &Report) {
     let Some(bytes) = frame.take::<LEN>() else { return };
-    let mut to = Writer { bytes, at: 0 };
+    let mut to = Writer { bytes: &mut *bytes, at: 0 };
     envelope(&mut to, header, KIND_FIX);
     to.put(report.time.to_le_bytes());
     to.put(report.half_turn_q8.to_le_bytes());
@@ -330,8 +330,7 @@ pub fn emit_into(frame: &mut Aligned, header: Header, report: &Report) {
     for count in [edges, pulses, sweeps, fixes, reports] {
         to.put(count.to_le_bytes());
     }
-    let check = fcs(bytes.get(..LEN - 2).unwrap_or(&[]));
-    Writer { bytes, at: LEN - 2 }.put(check.to_le_bytes());
+    seal(bytes);
 }
 
 /// Reads a whole frame, FCS included.

@@ -109,24 +109,25 @@ pub enum Closed {
     Dark(HalfTurn),
 }
 
-/// Whether light is understood, and why not.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Whether light is understood, and why not. The numbers travel in health frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Status {
-    /// The cycle is known.
-    Locked,
-    /// There is light that may be a cycle, but not yet enough of it.
-    Searching,
     /// No pulse for the longest four half turns that a clock can see, 2^22 ticks.
-    NoLight,
+    #[default]
+    NoLight = 0,
+    /// There is light that may be a cycle, but not yet enough of it.
+    Searching = 1,
+    /// The cycle is known.
+    Locked = 2,
     /// One flash per slot, with skips: one station of a pair, and nothing says which. See [`Config::lone`].
-    OneStation,
+    OneStation = 3,
     /// Flashes of two stations that are not 350 to 450 us apart.
-    Spacing,
+    Spacing = 4,
     /// Pulses that are too long for each other's distance to be flashes or sweeps.
-    Widths,
+    Widths = 5,
     /// Only pulses that are too short for each other's distance to be flashes: Lighthouse V2, which has none.
-    V2,
+    V2 = 6,
 }
 
 /// The tolerances, all as shares of the half turn.

@@ -35,30 +35,10 @@
 
 use super::{Aligned, Header, Reader, Reject, Writer, code, envelope, seal};
 pub use crate::angle::Factory;
+pub use crate::sweep::Status as Lock;
 
 /// Bytes of a whole health frame, FCS included.
 pub const HEALTH_LEN: usize = 92;
-
-/// Whether the cycle is known, and why not.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Lock {
-    /// No flash for a while.
-    #[default]
-    NoLight = 0,
-    /// Flashes, and no cycle in them yet.
-    Searching = 1,
-    /// The cycle is known.
-    Locked = 2,
-    /// The flashes are those of one station.
-    OneStation = 3,
-    /// The flashes of two stations are not spaced as those of a synchronised pair.
-    Spacing = 4,
-    /// No flash has a width of Lighthouse V1.
-    Widths = 5,
-    /// The light is that of Lighthouse V2.
-    V2 = 6,
-}
 
 code!(Lock: NoLight, Searching, Locked, OneStation, Spacing, Widths, V2);
 

@@ -377,13 +377,16 @@ impl Lock {
         Sync { station, axis, skip: station != sweeping, data }
     }
 
-    /// How much later a flash falls than it would with a data bit of zero.
+    /// The data bit of a flash, and how much later it falls than one with that bit should.
     #[inline(always)]
-    fn fall(&self, station: Station, rise: i32, width: u32) -> i32 {
+    fn read(&self, station: Station, rise: i32, width: u32) -> (bool, i32) {
         // Bit 0 is the axis, bit 1 the skip; the skip is four steps.
         let code = (self.slot ^ (station as u32 * 2) ^ 2) as i32;
-        let bare = self.units.step * (WIDTH_BASE_STEPS as i32 + code + (code & 2));
-        rise.wrapping_add_unsigned(width) - bare - (self.trains[station as usize].bias_q3 >> BIAS_SHIFT)
+        let step = self.units.step;
+        let bare = step * (WIDTH_BASE_STEPS as i32 + code + (code & 2));
+        let fall = rise.wrapping_add_unsigned(width) - bare - (self.trains[station as usize].bias_q3 >> BIAS_SHIFT);
+        let data = fall > step;
+        (data, if data { fall - 2 * step } else { fall })
     }
 
     /// A pulse that rises `rise` after the station's next flash should; gives its data bit.
@@ -397,11 +400,7 @@ impl Lock {
         width: u32,
     ) -> Option<bool> {
         let step = self.units.step;
-        let mut fall = self.fall(station, rise, width);
-        let data = fall > step;
-        if data {
-            fall -= 2 * step;
-        }
+        let (data, fall) = self.read(station, rise, width);
         let (rise_off, fall_off) = (rise.unsigned_abs(), fall.unsigned_abs());
         let mut off = rise;
         let mut far = rise_off;
@@ -448,11 +447,7 @@ impl Lock {
         width: u32,
     ) -> Option<bool> {
         let Units { half_turn, step, .. } = self.units;
-        let mut fall = self.fall(station, rise, width);
-        let data = fall > step;
-        if data {
-            fall -= 2 * step;
-        }
+        let (data, fall) = self.read(station, rise, width);
         let base = half_turn >> TOLERANCE_SHIFT;
         let is_new = self.tolerance > base;
         let is_placed = self.is_placed();

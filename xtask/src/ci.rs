@@ -1,7 +1,7 @@
 //! All that a change has to pass.
 //!
 //! What can go wrong: lints that the computer never sees. A board's binary compiles for its own processor only, so
-//! each board is linted by itself, with its own feature. The nRF52840's image is linked too: no other check runs it.
+//! each board is linted by itself, with its own feature. The images are linked too, twice: no other check runs the nRF52840's.
 
 use anyhow::Result;
 
@@ -9,6 +9,7 @@ use crate::bench::{self, bench};
 use crate::fuzz::{self, fuzz};
 use crate::oracle;
 use crate::process::{cargo, run};
+use crate::reproduce;
 use crate::scenes::{self, scenes};
 use crate::setup;
 use crate::test::{Tally, run_all};
@@ -38,10 +39,7 @@ pub(crate) fn ci() -> Result<()> {
     for board in &BOARDS {
         tally.check(&format!("lints for {}", board.feature), || lint(board));
     }
-    tally.check("the image for nrf52840", || {
-        let arguments = ["build", "--release", "--bin", "nrf52840", "--features", "nrf52840", "--target"];
-        run(cargo(&arguments).arg(setup::CORTEX_M4F))
-    });
+    tally.check("the same images from another folder", reproduce::reproduce);
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));

@@ -19,6 +19,7 @@ mod fuzz;
 mod oracle;
 mod process;
 mod qemu;
+mod reproduce;
 mod run;
 mod scenes;
 mod setup;
@@ -83,6 +84,10 @@ enum Verb {
     ///
     /// A minute each. What crashes is kept under target/fuzz, with what to type to run it again.
     Fuzz(fuzz::Arguments),
+    /// Build every image a second time, from a copy in another folder, and see that not a byte differs
+    ///
+    /// Prints the images' SHA-256, for someone who holds an image and wants to know what it was built from.
+    Reproduce,
     /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test, every cost
     Ci,
     /// Hold the calibration's solver against OpenCV's on simulated rooms; needs Python and its package index
@@ -114,6 +119,7 @@ fn main() -> ExitCode {
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
+        Verb::Reproduce => reproduce::reproduce().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
         Verb::Oracle { rooms } => oracle::oracle(rooms).map(|()| 0),
         Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),

@@ -6,6 +6,7 @@
 use anyhow::Result;
 
 use crate::bench::{self, bench};
+use crate::claims::{self, claims};
 use crate::fuzz::{self, fuzz};
 use crate::oracle;
 use crate::process::{cargo, run};
@@ -29,7 +30,7 @@ const BOARDS: [Board; 4] = [
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
 
-/// Runs formatting, lints, tests, the bench, the scenes, the calibration's oracle and the fuzzer, and closes with how many passed.
+/// Runs formatting, lints, tests, the bench, the claims, the scenes, the calibration's oracle and the fuzzer, and closes with how many passed.
 pub(crate) fn ci() -> Result<()> {
     let mut tally = Tally::default();
     tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
@@ -42,6 +43,7 @@ pub(crate) fn ci() -> Result<()> {
     tally.check("the same images from another folder", reproduce::reproduce);
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
+    tally.check("what the texts claim", || claims(&claims::Arguments::AFTER_BENCH));
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
     tally.check("calibration beside OpenCV, 20 rooms", || oracle::oracle(20));
     tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));

@@ -14,6 +14,7 @@ use xtask::flash;
 mod bake;
 mod bench;
 mod ci;
+mod claims;
 mod firmware;
 mod fuzz;
 mod oracle;
@@ -84,6 +85,10 @@ enum Verb {
     ///
     /// A minute each. What crashes is kept under target/fuzz, with what to type to run it again.
     Fuzz(fuzz::Arguments),
+    /// Count every number of the README and the docs anew, and see that the texts say just that
+    ///
+    /// Runs the commands that the numbers come from; those that need recordings which are not here are skipped.
+    Claims(claims::Arguments),
     /// Build every image a second time, from a copy in another folder, and see that not a byte differs
     ///
     /// Prints the images' SHA-256, for someone who holds an image and wants to know what it was built from.
@@ -119,6 +124,7 @@ fn main() -> ExitCode {
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
+        Verb::Claims(arguments) => claims::claims(&arguments).map(|()| 0),
         Verb::Reproduce => reproduce::reproduce().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
         Verb::Oracle { rooms } => oracle::oracle(rooms).map(|()| 0),

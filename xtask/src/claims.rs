@@ -357,7 +357,8 @@ mod tests {
     fn a_number_that_nothing_covers_is_named_by_its_line() {
         let text = "# x\n\n## Numbers\n\n| take5 in f64 | 0.39 |\n7.8 % of 3-D\n\n## Licence\n\n2.0\n";
         let covered = text.find("0.39").unwrap();
-        assert_eq!(unclaimed(text, &[covered..covered + 4]), [6]);
+        let covered = std::iter::once(covered..covered + 4).collect::<Vec<_>>();
+        assert_eq!(unclaimed(text, &covered), [6]);
         assert_eq!(unclaimed(text, &[]), [5, 6]);
     }
 }

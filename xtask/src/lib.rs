@@ -9,6 +9,7 @@
 
 pub mod calib;
 pub mod calibrate;
+pub mod cycle;
 pub mod flash;
 pub mod light;
 pub mod output;

@@ -15,6 +15,7 @@ mod bake;
 mod bench;
 mod ci;
 mod claims;
+mod deny;
 mod firmware;
 mod fuzz;
 mod oracle;
@@ -93,8 +94,13 @@ enum Verb {
     ///
     /// Prints the images' SHA-256, for someone who holds an image and wants to know what it was built from.
     Reproduce,
+    /// Look at what comes in from elsewhere: licences, sources, known holes
+    Deny,
     /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test, every cost
     Ci,
+    /// Draw the pictures of docs that come from the simulated room
+    #[command(hide = true)]
+    Pictures,
     /// Hold the calibration's solver against OpenCV's on simulated rooms; needs Python and its package index
     #[command(hide = true)]
     Oracle {
@@ -126,7 +132,9 @@ fn main() -> ExitCode {
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
         Verb::Claims(arguments) => claims::claims(&arguments).map(|()| 0),
         Verb::Reproduce => reproduce::reproduce().map(|()| 0),
+        Verb::Deny => deny::deny().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
+        Verb::Pictures => pictures().map(|()| 0),
         Verb::Oracle { rooms } => oracle::oracle(rooms).map(|()| 0),
         Verb::Qemu { elf, timeout } => qemu::qemu(&elf, std::time::Duration::from_secs(timeout)),
     };
@@ -137,4 +145,12 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Draws what `docs` shows of the simulated room.
+fn pictures() -> anyhow::Result<()> {
+    let path = process::root().join("docs/cycle.svg");
+    std::fs::write(&path, xtask::cycle::draw())?;
+    println!("drawn: docs/cycle.svg");
+    Ok(())
 }

@@ -4,11 +4,13 @@ use std::collections::{HashSet, VecDeque};
 
 use proptest::prelude::*;
 
-use crate::frame::{self, Header, LEN, Report, emit};
+use crate::frame::{self, Header, LEN, Report, Reset, emit};
 use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT, Truth};
 use crate::pulse::Pulse;
 use crate::sweep::{self, Light};
 use crate::time::{Span, Ticks};
+
+use super::mote::mote;
 
 #[path = "../../src/bin/nrf52840/cause.rs"]
 mod cause;
@@ -23,7 +25,7 @@ mod psdu;
 #[path = "../../src/bin/nrf52840/ts4231.rs"]
 mod ts4231;
 
-use cause::Cause;
+use cause::{Boot, Cause};
 use csma::Csma;
 use pairing::{Pairing, Sample};
 use progress::Progress;
@@ -358,6 +360,33 @@ fn a_reset_has_one_cause_and_the_pin_speaks_alone() {
     assert_eq!(Cause::from_bits(0b0100), Cause::Software);
     assert_eq!(Cause::from_bits(0b1000), Cause::Lockup);
     assert_eq!(Cause::from_bits(1 << 16), Cause::Wake(1 << 16));
+}
+
+#[test]
+fn every_end_is_told_by_the_next_start() {
+    use mote::crumb::{Crumb, Kind};
+    let start = |cause, left: Option<(Kind, u32)>| {
+        let crumb = Crumb::new();
+        if let Some((kind, at)) = left {
+            crumb.leave(kind, at);
+        }
+        let told = Boot::of(cause, &crumb).reset();
+        // Told once: the start after it has nothing to tell of this one.
+        assert_eq!(Boot::of(cause, &crumb).crash, None);
+        told
+    };
+    // A panic and a fault ask for a reset themselves.
+    assert_eq!(start(Cause::Software, Some((Kind::Panic, 42))), (Reset::Panic, 42));
+    assert_eq!(start(Cause::Software, Some((Kind::HardFault, 0x1234))), (Reset::Fault, 0x1234));
+    assert_eq!(start(Cause::Software, None), (Reset::Requested, 0));
+    assert_eq!(start(Cause::Pin, None), (Reset::Requested, 0));
+    assert_eq!(start(Cause::Watchdog, None), (Reset::Watchdog, 0));
+    // The log hung in a panic: what the panic left says more than the watchdog.
+    assert_eq!(start(Cause::Watchdog, Some((Kind::Panic, 7))), (Reset::Panic, 7));
+    assert_eq!(start(Cause::Lockup, None), (Reset::Fault, 0));
+    assert_eq!(start(Cause::Power, None), (Reset::PowerOn, 0));
+    // Memory that lived through a dip of the supply, or noise that looks like ours.
+    assert_eq!(start(Cause::Power, Some((Kind::Panic, 7))), (Reset::PowerOn, 0));
 }
 
 /// What a TS4231 does, as far as its maker's library shows.

@@ -61,7 +61,7 @@ pub const RISE: Pin = Pin { port1: true, number: 10 };
 pub const FALL: Pin = Pin { port1: true, number: 11 };
 /// Where D of a TS4231 is: D7 of the same header, one of the pins that stand its megahertz.
 pub const DATA: Pin = Pin { port1: true, number: 8 };
-/// Reports are sent on this channel; rooms do not say one.
+/// Frames are sent on this channel, unless a programmer said another.
 pub const CHANNEL: Channel = match Channel::new(26) {
     Some(channel) => channel,
     None => panic!("channels are 11 ..= 26"),

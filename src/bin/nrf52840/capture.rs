@@ -33,7 +33,6 @@
 
 use core::sync::atomic::{AtomicU16, Ordering};
 
-use heapless::spsc::{Consumer, Producer, Queue};
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::time::{Span, Ticks};
 use nrf_pac::gpiote::vals::{Mode, Polarity};
@@ -43,6 +42,7 @@ use nrf_pac::{GPIOTE, PPI, TIMER1, TIMER2, TIMER3};
 
 use crate::board::{self, Level, Pin, RECEIVER};
 use crate::clock::{self, Alarm, TICKS_PER_US};
+use crate::mote::queue::{self, Queue, Writer};
 use crate::pairing::{Pairing, Sample};
 
 /// GPIOTE channel, PPI channel and capture register of the light's coming on.
@@ -54,8 +54,12 @@ const LOOKS: u8 = 4;
 /// How long the gate stays closed after the classifier has caught up: 15 pulses a millisecond are a storm.
 const CLOSED_FOR: Span = Span(1000 * TICKS_PER_US);
 
-/// The memory between handler and classifier: 15 pulses are 42 ms of light.
-pub type Pulses = Queue<Pulse, 16>;
+/// Pulses between handler and classifier: 44 ms of light.
+const PULSES: usize = 16;
+/// The memory for them.
+pub type Pulses = Queue<Pulse, PULSES>;
+/// The reader's end.
+pub type Reader = queue::Reader<Pulse, PULSES>;
 
 /// Edges that became no pulse, wrapping. Written by [`Capture`] alone.
 static LOST: AtomicU16 = AtomicU16::new(0);
@@ -68,17 +72,14 @@ pub fn lost() -> u16 {
 /// The writer's end, for the handler.
 pub struct Capture {
     pairing: Pairing,
-    pulses: Producer<'static, Pulse>,
+    pulses: Writer<Pulse, PULSES>,
     dropped: u16,
 }
-
-/// The reader's end.
-pub struct Reader(Consumer<'static, Pulse>);
 
 /// Both ends of `pulses`. Nothing comes before [`listen`].
 pub fn split(pulses: &'static mut Pulses) -> (Capture, Reader) {
     let (pulses, reader) = pulses.split();
-    (Capture { pairing: Pairing::default(), pulses, dropped: 0 }, Reader(reader))
+    (Capture { pairing: Pairing::default(), pulses, dropped: 0 }, reader)
 }
 
 /// Begins to watch the pins; to be called once, when the receiver is ready and nobody drives them any more: GPIOTE
@@ -145,28 +146,21 @@ impl Capture {
         let _ = GPIOTE.events_in(FALL).read();
         if let Some(sample) = sample()
             && let Some(pulse) = self.pairing.take(sample)
-            && self.pulses.enqueue(pulse).is_err()
+            && !self.pulses.push(pulse)
         {
             self.dropped = self.dropped.wrapping_add(2);
         }
         LOST.store(self.pairing.lost().wrapping_add(self.dropped), Ordering::Relaxed);
-        if !self.pulses.ready() {
+        if self.pulses.is_full() {
             close();
         }
     }
 }
 
-impl Reader {
-    /// The oldest pulse not yet read.
-    pub fn next(&mut self) -> Option<Pulse> {
-        self.0.dequeue()
-    }
-
-    /// Everything has been read: if that was overdue, the handler may go on in a while.
-    pub fn caught_up(&mut self) {
-        if !GPIOTE.intenset(0).read().in_(FALL) {
-            clock::arm(Alarm::Gate, CLOSED_FOR);
-        }
+/// Every pulse has been read: if that was overdue, the handler may go on in a while.
+pub fn caught_up() {
+    if !GPIOTE.intenset(0).read().in_(FALL) {
+        clock::arm(Alarm::Gate, CLOSED_FOR);
     }
 }
 

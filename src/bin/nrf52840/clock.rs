@@ -17,8 +17,8 @@ use nrf_pac::timer::{regs, vals};
 
 /// 16 MHz / 2^0 (PS 6.30, PRESCALER).
 pub const TICKS_PER_US: u32 = 16;
-/// How often the classifier is told that time passes, and the watchdog may be fed: 0.26 s.
-pub const HEARTBEAT: Span = Span(1 << 22);
+/// How often the classifier is told that time passes, and the watchdog may be fed.
+pub const SECOND: Span = Span(1_000_000 * TICKS_PER_US);
 
 /// CC and COMPARE of [`now`].
 const NOW: usize = 5;
@@ -26,8 +26,8 @@ const NOW: usize = 5;
 /// The alarms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Alarm {
-    /// Time passes.
-    Heartbeat = 2,
+    /// A second has passed.
+    Second = 2,
     /// The radio may listen, or takes too long.
     Radio = 3,
     /// Light may interrupt again.
@@ -96,7 +96,7 @@ pub fn disarm(alarm: Alarm) {
 pub fn take() -> Rung {
     let mut rung = 0;
     let armed = TIMER.intenset().read();
-    for alarm in [Alarm::Heartbeat, Alarm::Radio, Alarm::Gate] {
+    for alarm in [Alarm::Second, Alarm::Radio, Alarm::Gate] {
         let n = alarm as usize;
         if armed.compare(n) && TIMER.events_compare(n).read() != 0 {
             disarm(alarm);

@@ -3,9 +3,9 @@
 //! | priority | task | line | does |
 //! |---|---|---|---|
 //! | 4 | `edges` | GPIOTE | fetches what the hardware stamped |
-//! | 3 | `classify`, `expire` | SWI 0, 1 | pulses to sightings |
-//! | 2 | `radio`, `alarm` | RADIO, TIMER3 | reports to frames on the air; time |
-//! | 1 | `solve` | SWI 2 | sightings to reports |
+//! | 3 | `classify`, `second` | SWI 0, 1 | pulses to sightings |
+//! | 2 | `radio`, `alarm` | RADIO, TIMER3 | frames onto the air; time |
+//! | 1 | `solve` | SWI 2 | sightings to frames |
 //! | 0 | `idle` | | makes the receiver ready, sleeps |
 //!
 //! The log goes over RTT in critical sections, which turn all interrupts off for the length of a line: here that is no
@@ -25,42 +25,67 @@ mod cause;
 mod clock;
 mod csma;
 mod fault;
+#[path = "../mote/mod.rs"]
+mod mote;
 mod pairing;
 mod progress;
 mod psdu;
 mod radio;
 mod receiver;
-mod stages;
 mod ts4231;
 mod watchdog;
 
 // The log's way out.
 use defmt_rtt as _;
+use lighthouse_mote::identity::{self, Block, Identity};
+
+/// This board, as the stages know it.
+struct Nrf52840;
+
+impl mote::stages::Board for Nrf52840 {
+    type Pulses = capture::Reader;
+
+    fn edges_lost() -> u16 {
+        capture::lost()
+    }
+
+    fn frames_lost() -> u16 {
+        radio::lost()
+    }
+}
 
 /// The room, as baked by build.rs.
 mod calib {
     include!(concat!(env!("OUT_DIR"), "/calib.rs"));
 }
 
+/// Who this mote is; a programmer overwrites it.
+#[used]
+static IDENTITY: Block = {
+    let baked = Identity { mote: calib::MOTE, pan: calib::PAN, channel: 0 };
+    Block::new(baked, identity::READS_ADDRESS | identity::READS_CHANNEL)
+};
+
 #[rtic::app(device = nrf_pac, peripherals = false)]
 mod app {
     use lighthouse_mote::frame::Header;
     use nrf_pac::Interrupt;
 
-    use crate::calib::{CONFIG, MOTE, PAN};
+    use crate::board::CHANNEL;
+    use crate::calib::CONFIG;
     use crate::capture::{self, Capture, Pulses};
-    use crate::clock::{self, Alarm, HEARTBEAT};
-    use crate::fault::{self, Boot};
-    use crate::psdu::Psdu;
+    use crate::cause::Boot;
+    use crate::clock::{self, Alarm, SECOND};
+    use crate::mote::stages::{Air, Classify, Frames, Sightings, Solve, Tales};
+    use crate::psdu::{Channel, Psdu};
     use crate::radio::Radio;
-    use crate::stages::{Classify, Reports, Sightings, Solve};
     use crate::watchdog::{self, Stage, Watchdog};
-    use crate::{bring_up, receiver};
+    use crate::{Nrf52840, bring_up, fault, receiver};
 
     #[shared]
     struct Shared {
         #[lock_free]
-        classify: Classify,
+        classify: Classify<Nrf52840>,
         #[lock_free]
         radio: Radio,
     }
@@ -68,7 +93,7 @@ mod app {
     #[local]
     struct Local {
         capture: Capture,
-        solve: Solve,
+        solve: Solve<Nrf52840>,
         watchdog: Watchdog,
         boot: Boot,
     }
@@ -76,7 +101,8 @@ mod app {
     #[init(local = [
         pulses: Pulses = Pulses::new(),
         sightings: Sightings = Sightings::new(),
-        reports: Reports = Reports::new(),
+        tales: Tales = Tales::new(),
+        frames: Air = Air::new(),
         psdu: Psdu = Psdu::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -85,16 +111,23 @@ mod app {
         bring_up::debugger();
         bring_up::crystal();
         clock::start();
-        clock::arm(Alarm::Heartbeat, HEARTBEAT);
-        defmt::info!("lighthouse mote {=u16:#06x}, started by {}", MOTE, boot);
+        clock::arm(Alarm::Second, SECOND);
+        let identity = crate::IDENTITY.read();
+        let channel = Channel::new(identity.channel).unwrap_or(CHANNEL);
+        defmt::info!("lighthouse mote {=u16:#06x}, started by {}", identity.mote, boot);
 
         let (capture, pulses) = capture::split(cx.local.pulses);
         let (to_solve, sightings) = cx.local.sightings.split();
-        let (to_radio, reports) = cx.local.reports.split();
-        let header = Header { pan: PAN, mote: MOTE, sequence: 0 };
+        let (to_tell, tales) = cx.local.tales.split();
+        let (to_radio, frames) = cx.local.frames.split();
+        let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
+        let solve = Solve::new(sightings, tales, Frames::new(to_radio, header), boot.reset());
         (
-            Shared { classify: Classify::new(pulses, to_solve), radio: Radio::new(reports, cx.local.psdu, header) },
-            Local { capture, solve: Solve::new(sightings, to_radio), watchdog, boot },
+            Shared {
+                classify: Classify::new(pulses, to_solve, to_tell),
+                radio: Radio::new(frames, cx.local.psdu, channel),
+            },
+            Local { capture, solve, watchdog, boot },
         )
     }
 
@@ -106,24 +139,33 @@ mod app {
 
     #[task(binds = EGU0_SWI0, priority = 3, shared = [classify])]
     fn classify(cx: classify::Context) {
-        if cx.shared.classify.run(&CONFIG).sightings {
+        let done = cx.shared.classify.run(&CONFIG);
+        if done.passed_on {
             rtic::pend(Interrupt::EGU2_SWI2);
+        }
+        if done.more {
+            rtic::pend(Interrupt::EGU0_SWI0);
+        } else {
+            capture::caught_up();
         }
         watchdog::moved(Stage::Classify);
     }
 
     #[task(binds = EGU1_SWI1, priority = 3, shared = [classify])]
-    fn expire(cx: expire::Context) {
-        if cx.shared.classify.expire(&CONFIG) {
-            rtic::pend(Interrupt::EGU2_SWI2);
-        }
+    fn second(cx: second::Context) {
+        cx.shared.classify.second(&CONFIG, clock::now());
+        rtic::pend(Interrupt::EGU2_SWI2);
         watchdog::moved(Stage::Classify);
     }
 
     #[task(binds = EGU2_SWI2, priority = 1, local = [solve])]
     fn solve(cx: solve::Context) {
-        if cx.local.solve.run(&CONFIG) {
+        let done = cx.local.solve.run(&CONFIG);
+        if done.passed_on {
             rtic::pend(Interrupt::RADIO);
+        }
+        if done.more {
+            rtic::pend(Interrupt::EGU2_SWI2);
         }
         watchdog::moved(Stage::Solve);
     }
@@ -136,12 +178,11 @@ mod app {
     #[task(binds = TIMER3, priority = 2, shared = [radio], local = [watchdog])]
     fn alarm(cx: alarm::Context) {
         let rung = clock::take();
-        if rung.is(Alarm::Heartbeat) {
-            clock::arm(Alarm::Heartbeat, HEARTBEAT);
+        if rung.is(Alarm::Second) {
+            clock::arm(Alarm::Second, SECOND);
             cx.local.watchdog.feed_if_all_moved();
-            // In the dark nobody else asks.
+            // The second has both stages run, in the dark too.
             rtic::pend(Interrupt::EGU1_SWI1);
-            rtic::pend(Interrupt::EGU2_SWI2);
         }
         if rung.is(Alarm::Gate) {
             capture::open();

@@ -1,7 +1,7 @@
-//! Reports onto the air: IEEE 802.15.4 at 250 kbit/s, listen before talk, one interrupt per try.
+//! Frames onto the air: IEEE 802.15.4 at 250 kbit/s, listen before talk, one interrupt per try.
 //!
 //! ```text
-//! off --report--> waiting --alarm--> trying --disabled, sent--> off
+//! off --frame--> waiting --alarm--> trying --disabled, sent--> off
 //!                    ^                  |
 //!                    '--disabled, busy--'
 //! ```
@@ -14,20 +14,20 @@
 //!
 //! What can go wrong: the channel is busy five times (`csma`), or the radio does not come to its end in
 //! [`PATIENCE`]. It is then switched off and on, which resets all its registers (PS 6.20, POWER). Either way the
-//! report is given up and counted.
+//! frame is given up and counted.
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 
-use heapless::spsc::Consumer;
-use lighthouse_mote::frame::{self, Header, Report};
+use lighthouse_mote::frame::Aligned;
 use lighthouse_mote::time::Span;
 use nrf_pac::radio::{regs, vals};
 use nrf_pac::{FICR, RADIO};
 
-use crate::board::CHANNEL;
 use crate::clock::{self, Alarm, TICKS_PER_US};
 use crate::csma::Csma;
-use crate::psdu::{MAX_PSDU, Psdu};
+use crate::mote::queue::Reader;
+use crate::mote::stages::FRAMES;
+use crate::psdu::{Channel, MAX_PSDU, Psdu};
 
 /// Both ramps are at most 0.14 ms each, assessment 0.128 ms (PS 6.20.15.8, 6.20.12.4), and the longest frame is 133
 /// bytes of 32 us, 4.3 ms.
@@ -37,10 +37,10 @@ const CRC_POLYNOMIAL: u32 = 0x1_1021;
 /// The start delimiter (IEEE 802.15.4-2006, 6.3.2).
 const START_DELIMITER: u8 = 0xa7;
 
-/// Reports that did not get out. Written at the radio's priority alone.
+/// Frames that did not get out. Written at the radio's priority alone.
 static LOST: AtomicU16 = AtomicU16::new(0);
 
-/// Reports given up by the radio so far, wrapping.
+/// Frames given up by the radio so far, wrapping.
 pub fn lost() -> u16 {
     LOST.load(Ordering::Relaxed)
 }
@@ -56,22 +56,22 @@ enum State {
 /// The radio and its queue.
 pub struct Radio {
     state: State,
-    reports: Consumer<'static, Report>,
+    frames: Reader<Aligned, FRAMES>,
     psdu: &'static mut Psdu,
-    header: Header,
+    channel: Channel,
     csma: Csma,
 }
 
 impl Radio {
-    /// Off, sending as `header` says, its sequence the first.
-    pub fn new(reports: Consumer<'static, Report>, psdu: &'static mut Psdu, header: Header) -> Self {
-        configure();
+    /// Off, to send on `channel`.
+    pub fn new(frames: Reader<Aligned, FRAMES>, psdu: &'static mut Psdu, channel: Channel) -> Self {
+        configure(channel);
         // The chip's own number (PS 4.4, DEVICEID): no two motes throw the same dice.
         let csma = Csma::new(FICR.deviceid(0).read());
-        Self { state: State::Off, reports, psdu, header, csma }
+        Self { state: State::Off, frames, psdu, channel, csma }
     }
 
-    /// The radio's interrupt, or a report has come.
+    /// The radio's interrupt, or a frame has come.
     pub fn step(&mut self) {
         if RADIO.events_disabled().read() != 0 {
             RADIO.events_disabled().write_value(0);
@@ -81,9 +81,16 @@ impl Radio {
             }
         }
         while self.state == State::Off
-            && let Some(report) = self.reports.dequeue()
+            && let Some(frame) = self.frames.oldest()
         {
-            self.load(&report);
+            let fits = self.psdu.load(frame.bytes());
+            self.frames.pop();
+            if fits {
+                let us = self.csma.begin();
+                self.wait(us);
+            } else {
+                self.give_up();
+            }
         }
     }
 
@@ -93,21 +100,11 @@ impl Radio {
             State::Off => {}
             State::Waiting => self.attempt(),
             State::Trying => {
-                configure();
+                configure(self.channel);
                 self.give_up();
                 self.step();
             }
         }
-    }
-
-    fn load(&mut self, report: &Report) {
-        let frame = frame::emit(self.header, report);
-        self.header.sequence = self.header.sequence.wrapping_add(1);
-        if !self.psdu.load(&frame) {
-            return self.give_up();
-        }
-        let us = self.csma.begin();
-        self.wait(us);
     }
 
     fn wait(&mut self, us: u32) {
@@ -151,12 +148,12 @@ impl Radio {
 }
 
 /// Resets the radio and sets it up, from whatever state.
-fn configure() {
+fn configure(channel: Channel) {
     RADIO.power().write(|w| w.set_power(false));
     RADIO.power().write(|w| w.set_power(true));
     // PS 6.20.12: 802.15.4, channel k at 2405 + 5 (k - 11) MHz.
     RADIO.mode().write(|w| w.set_mode(vals::Mode::Ieee802154250kbit));
-    RADIO.frequency().write(|w| w.set_frequency(CHANNEL.mhz_above_2400()));
+    RADIO.frequency().write(|w| w.set_frequency(channel.mhz_above_2400()));
     RADIO.txpower().write(|w| w.set_txpower(vals::Txpower::_0dBm));
     // PS 6.20.12: four zero bytes of preamble, the delimiter, an 8-bit length that counts the CRC, nothing else.
     RADIO.pcnf0().write(|w| {

@@ -1,7 +1,6 @@
 //! The watchdog (PS 6.36): 2 s without progress and the chip starts again.
 //!
-//! `progress` has the rule. The heartbeat asks for a run of every stage and, when it comes round, feeds if all of them
-//! came back.
+//! `progress` has the rule. Every second asks for a run of every stage, and the next one feeds if all of them came back.
 //!
 //! What can go wrong: nothing stops it, and its settings hold until a reset that reaches it; where it is found running,
 //! it is fed as it was left. It stands still while a debugger halts the core, so that one can look.

@@ -20,6 +20,7 @@ use core::sync::atomic::{AtomicU16, AtomicU32, Ordering, compiler_fence};
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::time::Ticks;
 
+use crate::mote::stages::Pulses;
 use crate::pac::{Interrupt, nvic};
 
 /// The line that is active in the light.
@@ -107,21 +108,18 @@ impl Capture {
     }
 }
 
-impl Reader {
-    /// Whether there is no pulse to read.
+impl Pulses for Reader {
     #[inline(always)]
-    pub fn is_empty(&self) -> bool {
+    fn is_empty(&self) -> bool {
         QUEUE.read.load(Ordering::Relaxed) == QUEUE.written.load(Ordering::Relaxed)
     }
 
-    /// The most pulses that ever waited.
-    pub const fn most(&self) -> u8 {
+    fn most(&self) -> u8 {
         self.most as u8
     }
 
-    /// The oldest pulse not yet read.
     #[inline(always)]
-    pub fn next(&mut self) -> Option<Pulse> {
+    fn next(&mut self) -> Option<Pulse> {
         let read = QUEUE.read.load(Ordering::Relaxed);
         let waiting = QUEUE.written.load(Ordering::Relaxed).wrapping_sub(read);
         if waiting == 0 {

@@ -20,14 +20,29 @@
 mod bring_up;
 mod capture;
 mod fault;
+#[path = "../mote/mod.rs"]
+mod mote;
 mod pac;
-mod queue;
 mod radio;
 mod rf_timer;
-mod stages;
 mod uart_log;
 
 use lighthouse_mote::identity::{self, Block, Identity};
+
+/// This board, as the stages know it.
+struct Scum3c;
+
+impl mote::stages::Board for Scum3c {
+    type Pulses = capture::Reader;
+
+    fn edges_lost() -> u16 {
+        capture::lost()
+    }
+
+    fn frames_lost() -> u16 {
+        radio::lost()
+    }
+}
 
 /// The room, as baked by build.rs.
 mod calib {
@@ -47,25 +62,25 @@ mod app {
 
     use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
+    use crate::mote::stages::{Air, Classify, Frames, Sightings, Solve, Tales};
     use crate::pac::Interrupt;
-    use crate::radio::{Frames as Air, Radio};
+    use crate::radio::Radio;
     use crate::rf_timer::{self, Alarm, SECOND};
-    use crate::stages::{Classify, Frames, Sightings, Solve, Tales};
-    use crate::{bring_up, fault, uart_log};
+    use crate::{Scum3c, bring_up, fault, uart_log};
 
     #[shared]
     struct Shared {
         #[lock_free]
         capture: Capture,
         #[lock_free]
-        classify: Classify,
+        classify: Classify<Scum3c>,
         #[lock_free]
         radio: Radio,
     }
 
     #[local]
     struct Local {
-        solve: Solve,
+        solve: Solve<Scum3c>,
     }
 
     #[init(local = [

@@ -15,8 +15,9 @@ use core::sync::atomic::{AtomicU16, Ordering, fence};
 use lighthouse_mote::frame::Aligned;
 use lighthouse_mote::time::Span;
 
+use crate::mote::queue::Reader;
+use crate::mote::stages::FRAMES;
 use crate::pac::{analog, rf};
-use crate::queue::{Queue, Reader};
 use crate::rf_timer::{self, Alarm};
 
 /// Supplies and frame need 50 us before the send (`radio.c:176`): 1000 ticks are that even at twice 10 MHz.
@@ -64,11 +65,6 @@ pub fn lost() -> u16 {
     LOST.load(Ordering::Relaxed)
 }
 
-/// Frames that may wait, the one on the air among them.
-pub const FRAMES: usize = 4;
-/// The memory for them, where the controller's DMA can read it: on a word (`radio.c`, radio_tx_buffer).
-pub type Frames = Queue<Aligned, FRAMES>;
-
 /// What the radio is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
@@ -80,7 +76,7 @@ enum State {
 /// The transmitter and its queue.
 pub struct Radio {
     state: State,
-    /// The oldest is the one on the air.
+    /// The oldest is the one on the air; the controller's DMA reads it there, on a word (`radio.c`, radio_tx_buffer).
     frames: Reader<Aligned, FRAMES>,
 }
 

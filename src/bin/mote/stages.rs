@@ -4,16 +4,58 @@
 //! except the news that the cycle was lost, which is owed until it fits: without it the solver would trust angles of
 //! an unknown age.
 
+use core::marker::PhantomData;
 use core::sync::atomic::{AtomicU16, Ordering};
 
 use lighthouse_mote::chain::{Batch, Classifier, Config, Estimate, Seen, Sighting, Solver, Understood};
 use lighthouse_mote::frame::{self, Aligned, Header, Report, Reset};
+use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::sweep::HalfTurn;
 use lighthouse_mote::time::{Span, Ticks};
 
-use crate::capture;
-use crate::queue::{Queue, Reader, Writer};
-use crate::radio;
+use super::queue::{Queue, Reader, Writer};
+
+/// What the stages need of a board.
+pub trait Board {
+    /// The end of the capture where its pulses come out.
+    type Pulses: Pulses;
+
+    /// Edges that became no pulse so far, wrapping.
+    fn edges_lost() -> u16;
+
+    /// Frames that the radio gave up so far, wrapping.
+    fn frames_lost() -> u16;
+}
+
+/// Pulses from the capture, the oldest first.
+pub trait Pulses {
+    /// The oldest not yet read.
+    fn next(&mut self) -> Option<Pulse>;
+
+    /// Whether there is none to read.
+    fn is_empty(&self) -> bool;
+
+    /// The most that ever waited.
+    fn most(&self) -> u8;
+}
+
+impl<const N: usize> Pulses for Reader<Pulse, N> {
+    #[inline(always)]
+    fn next(&mut self) -> Option<Pulse> {
+        let pulse = self.oldest().copied();
+        self.pop();
+        pulse
+    }
+
+    #[inline(always)]
+    fn is_empty(&self) -> bool {
+        self.oldest().is_none()
+    }
+
+    fn most(&self) -> u8 {
+        self.most()
+    }
+}
 
 /// Sightings between the stages: 67 ms at 120 sweeps a second.
 const SIGHTINGS: usize = 8;
@@ -38,22 +80,27 @@ const TOLD: usize = 2;
 /// The memory for it.
 pub type Tales = Queue<Told, TOLD>;
 
+/// Frames that may wait, the one on the air among them.
+pub const FRAMES: usize = 4;
+/// The memory for them, where a transmitter can read it: on a word.
+pub type Air = Queue<Aligned, FRAMES>;
+
 /// Half turns in a second: two per turn of a 60 Hz rotor.
 const HALF_TURNS_PER_S: u32 = 120;
 
 /// The first stage.
-pub struct Classify {
+pub struct Classify<B: Board> {
     classifier: Classifier,
-    pulses: capture::Reader,
+    pulses: B::Pulses,
     sightings: Writer<Sighting, SIGHTINGS>,
     owed: Option<Sighting>,
     tales: Writer<Told, TOLD>,
     uptime: u32,
 }
 
-impl Classify {
+impl<B: Board> Classify<B> {
     /// Reads `pulses`, writes `sightings` and `tales`.
-    pub fn new(pulses: capture::Reader, sightings: Writer<Sighting, SIGHTINGS>, tales: Writer<Told, TOLD>) -> Self {
+    pub fn new(pulses: B::Pulses, sightings: Writer<Sighting, SIGHTINGS>, tales: Writer<Told, TOLD>) -> Self {
         Self { classifier: Classifier::default(), pulses, sightings, owed: None, tales, uptime: 0 }
     }
 
@@ -129,22 +176,22 @@ pub struct Done {
 }
 
 /// The second stage.
-pub struct Solve {
+pub struct Solve<B: Board> {
     solver: Solver,
     batch: Batch,
     sightings: Reader<Sighting, SIGHTINGS>,
     tales: Reader<Told, TOLD>,
-    frames: Frames,
+    frames: Frames<B>,
     /// Why the mote started, and where it was then.
     reset: (Reset, u32),
 }
 
-impl Solve {
+impl<B: Board> Solve<B> {
     /// Reads `sightings` and `tales`, writes `frames`; `reset` goes into every health frame.
     pub fn new(
         sightings: Reader<Sighting, SIGHTINGS>,
         tales: Reader<Told, TOLD>,
-        frames: Frames,
+        frames: Frames<B>,
         reset: (Reset, u32),
     ) -> Self {
         Self { solver: Solver::default(), batch: Batch::default(), sightings, tales, frames, reset }
@@ -158,7 +205,8 @@ impl Solve {
             return Done { passed_on, more: false };
         };
         if sighting.seen == Seen::Lost {
-            defmt::warn!("light lost; edges {=u16}, pulses {=u16}", capture::lost(), sighting.pulses_lost);
+            #[cfg(feature = "defmt")]
+            defmt::warn!("light lost; edges {=u16}, pulses {=u16}", B::edges_lost(), sighting.pulses_lost);
         }
         let report = self.solver.step(config, *sighting);
         let angles = if config.estimate == Estimate::Angles { self.batch.step(sighting) } else { None };
@@ -192,7 +240,7 @@ impl Solve {
         health.uptime = told.uptime;
         (health.reset, health.reset_detail) = self.reset;
         health.waiting = [told.pulses_waiting, self.sightings.most(), self.frames.queue.most()];
-        health.rejects.edges = health.rejects.edges.wrapping_add(capture::lost());
+        health.rejects.edges = health.rejects.edges.wrapping_add(B::edges_lost());
         health.rejects.reports = self.frames.lost();
         self.tales.pop();
         self.frames.put(|frame, header| frame::emit_health_into(frame, header, &health))
@@ -200,21 +248,22 @@ impl Solve {
 }
 
 /// The way onto the air: frames made where the radio sends them from.
-pub struct Frames {
-    queue: Writer<Aligned, { radio::FRAMES }>,
+pub struct Frames<B: Board> {
+    queue: Writer<Aligned, FRAMES>,
     header: Header,
     lost: u16,
+    board: PhantomData<B>,
 }
 
-impl Frames {
+impl<B: Board> Frames<B> {
     /// Writes `queue` as `header` says, its sequence the first.
-    pub const fn new(queue: Writer<Aligned, { radio::FRAMES }>, header: Header) -> Self {
-        Self { queue, header, lost: 0 }
+    pub const fn new(queue: Writer<Aligned, FRAMES>, header: Header) -> Self {
+        Self { queue, header, lost: 0, board: PhantomData }
     }
 
     /// Frames that there was no room for, or that the radio gave up, wrapping.
     fn lost(&self) -> u16 {
-        self.lost.wrapping_add(radio::lost())
+        self.lost.wrapping_add(B::frames_lost())
     }
 
     /// Has a frame made; whether there was room for it.
@@ -230,7 +279,7 @@ impl Frames {
     #[inline(never)]
     fn send(&mut self, mut report: Report) -> bool {
         let losses = &mut report.losses;
-        losses.edges = losses.edges.wrapping_add(capture::lost());
+        losses.edges = losses.edges.wrapping_add(B::edges_lost());
         losses.sweeps = losses.sweeps.wrapping_add(LOST.load(Ordering::Relaxed));
         losses.reports = self.lost();
         self.put(|frame, header| frame::emit_into(frame, header, &report))

@@ -69,6 +69,11 @@ impl<T: Copy, const N: usize> Writer<T, N> {
         self.0.most.load(Ordering::Relaxed) as u8
     }
 
+    /// Whether there is no room.
+    pub fn is_full(&self) -> bool {
+        self.0.written.load(Ordering::Relaxed).wrapping_sub(self.0.read.load(Ordering::Relaxed)) >= N as u32
+    }
+
     /// Appends `entry`; false where there is no room for it.
     #[inline(always)]
     #[must_use]

@@ -1,0 +1,12 @@
+//! What every board's app is made of, above its registers: the two computing stages, the queues between the tasks, and
+//! what is left of a crash.
+//!
+//! Not in the library: a queue between two priorities takes `unsafe`. Each board's binary takes this folder in by path,
+//! and so do the host's tests.
+//!
+//! What can go wrong: each module says its own.
+#![allow(dead_code, reason = "no board uses all of it")]
+
+pub mod crumb;
+pub mod queue;
+pub mod stages;

@@ -48,6 +48,7 @@ mod on_target {
 mod on_host {
     mod chain;
     mod direction;
+    mod docs;
     mod mote;
     mod nrf52840;
     mod ootx;

@@ -3,21 +3,20 @@
 //! What can go wrong: cargo-deny is not there and is built first, which takes minutes; the list of known holes cannot be
 //! fetched, which is said and leaves the rest checked.
 
-use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::path::Path;
+use std::process::Command;
 
 use anyhow::Result;
 
-use crate::process::{cargo, root, run};
+use crate::process::run;
+use crate::setup;
 
 /// Every `Cargo.lock` of the repository stands beside one of these.
 const MANIFESTS: [&str; 2] = ["Cargo.toml", "fuzz/Cargo.toml"];
-/// Where cargo-deny goes if it has to be built.
-const TOOLS: &str = "target/tools";
 
 /// Checks both workspaces.
 pub(crate) fn deny() -> Result<()> {
-    let program = program()?;
+    let program = setup::tool("cargo-deny", &[])?;
     for manifest in MANIFESTS {
         let checks = ["bans", "licenses", "sources"];
         run(command(&program, manifest).args(checks))?;
@@ -33,24 +32,9 @@ pub(crate) fn deny() -> Result<()> {
     Ok(())
 }
 
-fn command(program: &PathBuf, manifest: &str) -> Command {
+fn command(program: &Path, manifest: &str) -> Command {
     let mut command = Command::new(program);
     command.args(["--log-level", "error", "--config", "deny.toml", "--manifest-path", manifest]);
     command.args(["check", "--hide-inclusion-graph"]);
     command
-}
-
-/// The cargo-deny that is installed, or one of our own.
-fn program() -> Result<PathBuf> {
-    let installed = PathBuf::from("cargo-deny");
-    let asked = Command::new(&installed).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
-    if asked.is_ok_and(|status| status.success()) {
-        return Ok(installed);
-    }
-    let own = root().join(TOOLS).join("bin/cargo-deny");
-    if !own.exists() {
-        println!("There is no cargo-deny: building it into {TOOLS}. That takes some minutes, once.");
-        run(&mut cargo(&["install", "cargo-deny", "--locked", "--root", TOOLS]))?;
-    }
-    Ok(own)
 }

@@ -94,6 +94,8 @@ enum Verb {
     ///
     /// Prints the images' SHA-256, for someone who holds an image and wants to know what it was built from.
     Reproduce,
+    /// Bind the docs into a book to read in a browser: target/book/index.html
+    Book,
     /// Look at what comes in from elsewhere: licences, sources, known holes
     Deny,
     /// Run all that a change has to pass: formatting, lints for this computer and for each board, every test, every cost
@@ -132,6 +134,7 @@ fn main() -> ExitCode {
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
         Verb::Claims(arguments) => claims::claims(&arguments).map(|()| 0),
         Verb::Reproduce => reproduce::reproduce().map(|()| 0),
+        Verb::Book => book().map(|()| 0),
         Verb::Deny => deny::deny().map(|()| 0),
         Verb::Ci => ci::ci().map(|()| 0),
         Verb::Pictures => pictures().map(|()| 0),
@@ -145,6 +148,14 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Binds `docs`.
+fn book() -> anyhow::Result<()> {
+    let program = setup::tool("mdbook", &["--no-default-features"])?;
+    process::run(std::process::Command::new(program).arg("build"))?;
+    println!("bound: target/book/index.html");
+    Ok(())
 }
 
 /// Draws what `docs` shows of the simulated room.

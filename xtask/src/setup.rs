@@ -5,18 +5,21 @@
 //!
 //! What can go wrong: no rustup, no known package manager, no right to install. The error then says what to type.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::process::{root, run};
+use crate::process::{cargo, root, run};
 use crate::qemu;
 
 /// SCuM-3C and the emulated board both have a Cortex-M0.
 pub(crate) const CORTEX_M0: &str = "thumbv6m-none-eabi";
 /// The nRF52840 has a Cortex-M4 with floating point.
 pub(crate) const CORTEX_M4F: &str = "thumbv7em-none-eabihf";
+
+/// Where programs go that have to be built.
+const TOOLS: &str = "target/tools";
 
 /// How to get QEMU by hand.
 const QEMU_BY_HAND: &str = "\
@@ -72,6 +75,19 @@ pub(crate) fn cpp_compiler() -> Result<()> {
     }
     println!("There is no C++ compiler: installing the package g++ through apt-get.");
     install("g++").map_err(|error| anyhow!("no C++ compiler could be installed ({error:#}); install one and try again"))
+}
+
+/// A program of cargo's registry: the one that is installed, or one built for us with `flags`.
+pub(crate) fn tool(name: &str, flags: &[&str]) -> Result<PathBuf> {
+    if runs(Command::new(name).arg("--version")) {
+        return Ok(name.into());
+    }
+    let own = root().join(TOOLS).join("bin").join(name);
+    if !own.exists() {
+        println!("There is no {name}: building it into {TOOLS}. That takes some minutes, once.");
+        run(cargo(&["install", name, "--locked", "--root", TOOLS]).args(flags))?;
+    }
+    Ok(own)
 }
 
 fn has_board() -> bool {

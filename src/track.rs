@@ -62,14 +62,14 @@ pub struct Config {
     pub start_velocity: i32,
     /// The largest mismatch of a fix to start from, Q16 m.
     pub start_mismatch: i32,
-    /// The track ends when no sweep was believed for this long; below 2^14.
+    /// The track ends when no sweep was believed for this long; at least 17 half turns, and below 2^14.
     pub lost_after: u32,
     /// The track ends when the sweeps of one rotor were refused so many times in a row. A rotor sweeps once in 4 half
     /// turns, so 8 take at least 0.23 s.
-    pub doubt_count: u32,
+    pub doubt_count: u16,
     /// While the sweeps of one rotor were refused so many times in a row the level is not [`Level::Full`]. A sweep that
     /// is believed although its plane lies 2.5 cm from the estimate leaves as much doubt.
-    pub doubtful: u32,
+    pub doubtful: u16,
     /// A station counts as seen for this long after a sweep of it was believed.
     pub fresh: u32,
     /// The track ends when the variances of the three axes sum up to more than this, Q32 m^2; at most 0.3^2.
@@ -162,7 +162,7 @@ pub struct Sweep {
 pub enum Step {
     /// It moved the estimate.
     Believed = 0,
-    /// The angle lies outside the rotor's field of view of +-60 deg: a reflection.
+    /// The angle lies outside the table of tangents, +-60 deg: the track goes on as if there had been no sweep.
     OutOfView = 1,
     /// There is no track; [`start`] makes one.
     Idle = 2,
@@ -199,12 +199,33 @@ pub struct Track {
     pub level: Level,
 }
 
+/// Whether there is a track.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Course {
+    #[default]
+    Idle,
+    /// The latest sweep was believed.
+    Steady,
+    /// The latest sweep was not believed.
+    Doubted,
+}
+
+/// What is known of one station's sweeps.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(C)]
+struct Watch {
+    /// The latest believed one.
+    seen: u32,
+    /// Per rotor: refused in a row.
+    refused: [u16; 2],
+}
+
 /// The estimate and what is needed to doubt it. Times wrap after 38 h.
 #[derive(Debug, Clone, Default)]
 #[repr(C)]
 pub struct State {
     estimate: filter::Estimate,
-    tracking: bool,
+    course: Course,
     heard: bool,
     /// The latest call of [`step`], 1/256 half turns since some beginning.
     now: u32,
@@ -212,12 +233,9 @@ pub struct State {
     light: u32,
     /// The latest believed sweep.
     believed: u32,
-    /// Per station: its latest believed sweep.
-    seen: [u32; 2],
-    /// Per rotor of either station: refused in a row.
-    refused: [[u32; 2]; 2],
+    watch: [Watch; 2],
     /// Fixes in a row that were metres away.
-    elsewhere: u32,
+    elsewhere: u16,
 }
 
 /// Begins a track at a fix: `position` in Q16 m, `mismatch` of its rays in Q16 m. True when it did.
@@ -230,7 +248,8 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
         return false;
     }
     // Nearly always the end of it, so asked before the light.
-    if state.tracking && !state.estimate.is_elsewhere(position) {
+    let tracking = state.course != Course::Idle;
+    if tracking && !state.estimate.is_elsewhere(position) {
         state.elsewhere = 0;
         return false;
     }
@@ -238,20 +257,19 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
         return false;
     }
     let now = state.now;
-    if state.tracking {
+    if tracking {
         state.elsewhere = state.elsewhere.saturating_add(1);
         if state.elsewhere < config.doubt_count {
             return false;
         }
     }
     *state = State {
-        tracking: true,
+        course: Course::Steady,
         heard: true,
         now,
         light: now,
         believed: now,
-        seen: [now; 2],
-        refused: [[0; 2]; 2],
+        watch: [Watch { seen: now, refused: [0; 2] }; 2],
         elsewhere: 0,
         estimate: filter::Estimate::at(position, config.start_position, config.start_velocity, now),
     };
@@ -260,55 +278,92 @@ pub fn start(config: &Config, room: &Room, state: &mut State, position: [i32; 3]
 
 /// Takes one sweep.
 ///
-/// Not inlined, and where the state lies is hidden: the core reaches 32 words from a register, and the state fills
-/// them. Told its address, the compiler counts from elsewhere and pays an instruction for each access.
+/// Not inlined, and `bridge` hides where the state lies: the core reaches 32 words from a register, and the state
+/// fills them. Told its address, the compiler counts from elsewhere and pays an instruction for each access.
 #[inline(never)]
 pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> Step {
-    let state = core::hint::black_box(state);
     let now = state.now.wrapping_add(u32::from(sweep.elapsed));
     state.now = now;
+    if state.course != Course::Steady {
+        core::hint::cold_path();
+        if state.course == Course::Idle {
+            core::hint::cold_path();
+            state.light = now;
+            state.heard = true;
+            return Step::Idle;
+        }
+        // Where the one before was believed, the gap since is looked at before it is carried over.
+        if now.wrapping_sub(state.believed) >= config.lost_after {
+            return lose(state);
+        }
+        state.course = Course::Steady;
+    }
+    let Some(spread) = state.estimate.predict(config, now) else {
+        return bridge(config, room, state, sweep);
+    };
+    // A negative sum is nonsense, and large.
+    if spread.cast_unsigned() > config.variance_limit.cast_unsigned() {
+        return lose(state);
+    }
     let Some(tangent) = fix::tan(sweep.angle.0) else {
+        state.estimate.refuse();
+        state.course = Course::Doubted;
         return Step::OutOfView;
     };
-    // Q28 to Q14.
-    let tangent = tangent >> 14;
-    if !state.tracking {
-        state.light = now;
-        state.heard = true;
-        return Step::Idle;
-    }
-    let station = sweep.station as usize;
-    let outcome = if now.wrapping_sub(state.believed) >= config.lost_after {
-        filter::Outcome::Lost
-    } else {
-        let pose = &room.stations[station];
-        state.estimate.step(config, pose, sweep.axis, tangent, now)
+    // Q28 to Q14; the half is of another rounding.
+    let tangent = tangent.wrapping_sub(fix::HALF) >> 14;
+    let [a, b] = &room.stations;
+    let pose = if sweep.station == Station::A { a } else { b };
+    let plane = state.estimate.meet(config, pose, sweep.axis, tangent, spread);
+    let watch = &mut state.watch[sweep.station as usize];
+    let refused = &mut watch.refused[sweep.axis as usize];
+    let Some(plane) = plane else {
+        state.estimate.refuse();
+        state.course = Course::Doubted;
+        *refused = refused.wrapping_add(1);
+        return if *refused < config.doubt_count { Step::Refused } else { lose(state) };
     };
-    match outcome {
-        filter::Outcome::Believed => {
-            state.believed = now;
-            state.seen[station] = now;
-            state.refused[station][sweep.axis as usize] = 0;
-            return Step::Believed;
-        }
-        filter::Outcome::Leapt => {
-            state.believed = now;
-            state.seen[station] = now;
-            state.refused[station][sweep.axis as usize] = config.doubtful;
-            return Step::Believed;
-        }
-        filter::Outcome::Refused => {
-            let count = &mut state.refused[station][sweep.axis as usize];
-            *count = count.saturating_add(1);
-            let refused = *count;
-            if refused < config.doubt_count {
-                return Step::Refused;
-            }
-        }
-        filter::Outcome::Lost => {}
+    // Twice, because a choice of values costs seven instructions.
+    *refused = 0;
+    filter::home();
+    if plane.is_leap {
+        *refused = config.doubtful;
     }
-    state.tracking = false;
-    state.light = now;
+    watch.seen = now;
+    state.believed = now;
+    state.estimate.learn(&plane);
+    Step::Believed
+}
+
+/// Takes a sweep that comes after a gap too long for one stride.
+#[cold]
+#[inline(never)]
+fn bridge(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> Step {
+    let state = core::hint::black_box(state);
+    let now = state.now;
+    if now.wrapping_sub(state.estimate.at) >= config.lost_after {
+        return lose(state);
+    }
+    // Of what is out of view nothing is believed.
+    let mut again = Sweep { angle: Angle(i32::MIN), elapsed: 0, ..*sweep };
+    while !state.estimate.reaches(now) {
+        state.now = state.estimate.stride();
+        let outcome = step(config, room, state, &again);
+        state.now = now;
+        if outcome == Step::Lost {
+            return lose(state);
+        }
+    }
+    again.angle = sweep.angle;
+    step(config, room, state, &again)
+}
+
+/// Ends the track.
+#[cold]
+#[inline(never)]
+fn lose(state: &mut State) -> Step {
+    state.course = Course::Idle;
+    state.light = state.now;
     Step::Lost
 }
 
@@ -318,15 +373,15 @@ pub fn step(config: &Config, room: &Room, state: &mut State, sweep: &Sweep) -> S
 pub fn report(config: &Config, state: &State, elapsed: u32) -> Track {
     let since = |then: u32| state.now.wrapping_sub(then).saturating_add(elapsed);
     let light = if state.heard && since(state.light) <= config.fresh { Level::Angles } else { Level::None };
-    if !state.tracking || since(state.believed) > config.lost_after {
+    if state.course == Course::Idle || since(state.believed) > config.lost_after {
         return Track { level: light, ..Track::default() };
     }
     let (position, velocity, variance) = state.estimate.after(config, state.now.wrapping_add(elapsed));
     let sd = variance.map(root::square_root);
     let level = if sd.iter().any(|sd| *sd > config.sd_limit) {
         Level::Angles
-    } else if state.seen.iter().all(|then| since(*then) <= config.fresh)
-        && state.refused.iter().flatten().all(|refused| *refused < config.doubtful)
+    } else if state.watch.iter().all(|watch| since(watch.seen) <= config.fresh)
+        && state.watch.iter().flat_map(|watch| &watch.refused).all(|refused| *refused < config.doubtful)
     {
         Level::Full
     } else {

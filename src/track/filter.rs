@@ -10,14 +10,14 @@
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
-use super::root::{Root, half_width, reciprocal_root};
+use super::root::{Root, pairs, reciprocal_root};
 use super::{Config, PER_HALF_TURN, Pose};
 use crate::sweep::Axis;
 
 /// Significant bits of a covariance in a step.
-const BITS: u32 = 18;
+const BITS: u32 = 17;
 /// An innovation of an eighth of a metre is no innovation, Q18 m.
-const INNOVATION_BITS: u32 = 15;
+const INNOVATION: u32 = 1 << 15;
 /// A believed innovation that takes the level, Q18 m: 2.5 cm, which moves a fix by up to the 5 cm that are wrong. At 3 cm
 /// mirrored sweeps still made wrong fixes.
 const LEAP: i32 = (0.025 * (1 << 18) as f64) as i32;
@@ -45,22 +45,28 @@ pub(super) struct Estimate {
     pub told: [i32; 6],
     /// Q24 m.
     pub position: [i32; 3],
-    /// When that was, 1/256 half turns.
-    pub at: u32,
-    /// When the covariances were, 1/256 half turns: within half a half turn of `at`.
-    pub spread_at: u32,
     /// Q22 m / half turn.
     pub velocity: [i32; 3],
+    /// When that was, 1/256 half turns.
+    pub at: u32,
+    /// Half a half turn before the covariances were, which is within as much of `at`; 1/256 half turns.
+    pub spread_from: u32,
 }
 
-/// What became of one plane.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Outcome {
-    Believed,
-    /// Believed, and the estimate was far from it.
-    Leapt,
-    Refused,
-    Lost,
+/// A plane that is believed, and what it has to tell.
+pub(super) struct Plane {
+    /// Whether the estimate was far from it.
+    pub is_leap: bool,
+    /// Covariances of the position with the innovation.
+    shares: [i32; 3],
+    normal: [i32; 3],
+    scale: u32,
+    /// Of the reciprocal of the innovation's standard deviation.
+    mantissa: i32,
+    /// From the product of a covariance with the mantissa to Q16.
+    down: u32,
+    /// The innovation in standard deviations, Q13.
+    surprise: i32,
 }
 
 impl Estimate {
@@ -72,41 +78,23 @@ impl Estimate {
         Self {
             position: position.map(|axis| axis.wrapping_shl(8)),
             at: now,
-            spread_at: now & !(PER_HALF_TURN - 1),
+            spread_from: now.wrapping_sub(PER_HALF_TURN / 2),
             pp: [pp, 0, 0, pp, 0, pp],
             vv: [vv, 0, 0, vv, 0, vv],
             ..Self::default()
         }
     }
 
-    /// One plane, `tangent` in Q14, seen at `now`.
+    /// Carries the estimate on to `now`; gives the sum of the position variances. `None`, and nothing done, where that is
+    /// further than one stride.
     #[inline(always)]
-    pub(super) fn step(&mut self, config: &Config, pose: &Pose, axis: Axis, tangent: i32, now: u32) -> Outcome {
-        let spread = self.predict(config, now);
-        // A negative sum is nonsense, and large.
-        if spread.cast_unsigned() > config.variance_limit.cast_unsigned() {
-            return Outcome::Lost;
+    pub(super) fn predict(&mut self, config: &Config, now: u32) -> Option<i32> {
+        let due = now.wrapping_sub(self.spread_from);
+        let stride = due / PER_HALF_TURN;
+        if stride > STRIDE {
+            return None;
         }
-        let outcome = self.correct(config, pose, axis, tangent, spread);
-        if outcome == Outcome::Refused {
-            self.told = [0; 6];
-        }
-        outcome
-    }
-
-    /// Carries the estimate on to `now`; gives the sum of the position variances.
-    #[inline(always)]
-    fn predict(&mut self, config: &Config, now: u32) -> i32 {
-        let due = due(now);
-        let mut left = due.wrapping_sub(self.spread_at) / PER_HALF_TURN;
-        self.spread_at = due;
-        while left > STRIDE {
-            left -= STRIDE;
-            let spread = self.spread_far(config, now);
-            if spread.cast_unsigned() > config.variance_limit.cast_unsigned() {
-                return spread;
-            }
-        }
+        self.spread_from = now.wrapping_sub(due % PER_HALF_TURN);
 
         let elapsed = now.wrapping_sub(self.at).cast_signed();
         self.at = now;
@@ -115,17 +103,20 @@ impl Estimate {
         carry(x, *u, elapsed);
         carry(y, *v, elapsed);
         carry(z, *w, elapsed);
-        self.spread(config, left.cast_signed())
+        Some(self.spread(config, stride.cast_signed()))
     }
 
-    /// One stride of a gap too long for one; the velocity is not believed for longer than that.
-    #[cold]
-    #[inline(never)]
-    fn spread_far(&mut self, config: &Config, now: u32) -> i32 {
+    /// Where a stride of a gap ends for the covariances. The position rests until then: the velocity is not believed for
+    /// longer than the last one.
+    pub(super) fn stride(&mut self) -> u32 {
+        self.at = self.spread_from.wrapping_add(PER_HALF_TURN / 2 + STRIDE * PER_HALF_TURN);
+        self.at
+    }
+
+    /// Whether `now` is within a stride; the position is then carried on by one.
+    pub(super) fn reaches(&mut self, now: u32) -> bool {
         self.at = now.wrapping_sub(STRIDE * PER_HALF_TURN);
-        let spread = self.spread(config, STRIDE.cast_signed());
-        self.told = [0; 6];
-        spread
+        now.wrapping_sub(self.spread_from) / PER_HALF_TURN <= STRIDE
     }
 
     /// Takes from the covariances what the latest plane told, and carries them on by `stride` whole half turns; gives
@@ -145,8 +136,10 @@ impl Estimate {
             .wrapping_add(spread_axis(zz, zw, ww, [z, w], stride, growth))
     }
 
+    /// Meets one plane, `tangent` in Q14, where the variances of the position sum up to `spread`; `None` where it is not
+    /// believed.
     #[inline(always)]
-    fn correct(&mut self, config: &Config, pose: &Pose, axis: Axis, tangent: i32, spread: i32) -> Outcome {
+    pub(super) fn meet(&self, config: &Config, pose: &Pose, axis: Axis, tangent: i32, spread: i32) -> Option<Plane> {
         let row = &pose.axes.data.0[axis as usize];
         // Normal in Q10; how far beside the plane the estimate lies in Q30 m, modulo 4 m; depth in Q26 m.
         let mut beside = 0;
@@ -156,35 +149,25 @@ impl Estimate {
         let ny = meet(row[1], ahead[1], station[1], own[1], tangent, &mut beside, &mut depth);
         let nz = meet(row[2], ahead[2], station[2], own[2], tangent, &mut beside, &mut depth);
         let beside = beside >> 12;
-        if beyond(beside, INNOVATION_BITS) || depth <= 0 {
-            return Outcome::Refused;
+        if depth <= 0 {
+            return None;
         }
 
         // A plane at this depth moves by depth * (1 + x^2) per radian.
-        let lever = (tangent.wrapping_mul(tangent) >> 18).wrapping_add(1 << 10);
-        let reach = (depth >> 16).wrapping_mul(lever) >> 10;
-        let sigma = reach.wrapping_mul(config.noise) >> 12;
+        let square = tangent.wrapping_mul(tangent) >> 14;
+        let lever = (square.wrapping_mul(config.noise) >> 14).wrapping_add(config.noise);
+        let sigma = (depth >> 16).wrapping_mul(lever) >> 12;
         let noise = sigma.wrapping_mul(sigma);
 
         let [xx, xy, xz, yy, yz, zz] = &self.pp;
-        let [[xu, xv, xw], [yu, yv, yw], [zu, zv, zw]] = &self.pv;
         // The velocity's variances are at most a few times these. Half of the scale:
-        let size = (spread | noise).cast_unsigned() >> BITS;
-        let half = match size {
-            0..64 => half_width(size),
-            _ => 3 + half_width(size >> 6),
-        };
+        let half = pairs((spread | noise).cast_unsigned(), BITS);
         let scale = 2 * half;
 
-        // Q(32 - scale); 19 bits.
-        let dot = |a: &i32, b: &i32, c: &i32| {
-            let sum = (*a >> scale).wrapping_mul(nx);
-            let sum = sum.wrapping_add((*b >> scale).wrapping_mul(ny));
-            sum.wrapping_add((*c >> scale).wrapping_mul(nz)) >> 10
-        };
-        let x = dot(xx, xy, xz);
-        let y = dot(xy, yy, yz);
-        let z = dot(xz, yz, zz);
+        let normal = [nx, ny, nz];
+        let x = share(normal, [xx, xy, xz], scale);
+        let y = share(normal, [xy, yy, yz], scale);
+        let z = share(normal, [xz, yz, zz], scale);
         let variance = ((noise >> scale) << 10)
             .wrapping_add(x.wrapping_mul(nx))
             .wrapping_add(y.wrapping_mul(ny))
@@ -194,23 +177,38 @@ impl Estimate {
         // In standard deviations, Q13.
         let surprise = beside.wrapping_mul(mantissa) >> (2 + half + shift);
         if surprise.wrapping_add(config.gate).cast_unsigned() > config.gate.wrapping_mul(2).cast_unsigned() {
-            return Outcome::Refused;
+            return None;
         }
 
-        let told = Told { mantissa, down: 13 + shift - half, surprise };
+        let is_leap = beside.wrapping_add(LEAP).cast_unsigned() > 2 * LEAP.cast_unsigned();
+        if is_leap && beside.unsigned_abs() >= INNOVATION {
+            return None;
+        }
+        Some(Plane { is_leap, shares: [x, y, z], normal, scale, mantissa, down: 13 + shift - half, surprise })
+    }
+
+    /// Takes from a plane what it has to tell.
+    #[inline(always)]
+    pub(super) fn learn(&mut self, plane: &Plane) {
+        let [x, y, z] = plane.shares;
+        let [[xu, xv, xw], [yu, yv, yw], [zu, zv, zw]] = &self.pv;
+        let share = |covariances| share(plane.normal, covariances, plane.scale);
         let [px, py, pz] = &mut self.position;
         let [pu, pv, pw] = &mut self.velocity;
         let [tx, ty, tz, tu, tv, tw] = &mut self.told;
-        told.moves_position(x, tx, px);
-        told.moves_position(y, ty, py);
-        told.moves_position(z, tz, pz);
-        told.moves_velocity(dot(xu, yu, zu), tu, pu);
-        told.moves_velocity(dot(xv, yv, zv), tv, pv);
-        told.moves_velocity(dot(xw, yw, zw), tw, pw);
-        if beside.wrapping_add(LEAP).cast_unsigned() > 2 * LEAP.cast_unsigned() {
-            return Outcome::Leapt;
-        }
-        Outcome::Believed
+        plane.moves_position(x, tx, px);
+        plane.moves_position(y, ty, py);
+        plane.moves_position(z, tz, pz);
+        plane.moves_velocity(share([xu, yu, zu]), tu, pu);
+        plane.moves_velocity(share([xv, yv, zv]), tv, pv);
+        plane.moves_velocity(share([xw, yw, zw]), tw, pw);
+    }
+
+    /// Takes nothing from a plane.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn refuse(&mut self) {
+        self.told = [0; 6];
     }
 
     /// Position (Q16 m), velocity (Q16 m/s) and variances of the position (Q32 m^2) at `now`, in the dark.
@@ -225,7 +223,7 @@ impl Estimate {
         // Right at a sweep there is nothing to carry: only what its plane told is still to be taken.
         let mut variances = [known(xx, x, x), known(yy, y, y), known(zz, z, z)];
         if now != self.at {
-            let ahead = due(now).wrapping_sub(self.spread_at) / PER_HALF_TURN;
+            let ahead = now.wrapping_sub(self.spread_from) / PER_HALF_TURN;
             let axes = [[xx, xu, uu, x, u], [yy, yv, vv, y, v], [zz, zw, ww, z, w]];
             variances = axes.map(|axis| variance_after(config, axis, ahead));
             // No further than `predict` carries it.
@@ -247,12 +245,6 @@ impl Estimate {
         let pairs = self.position.iter().zip(position);
         pairs.into_iter().any(|(own, other)| (own >> 8).abs_diff(other) > 2 << 16)
     }
-}
-
-/// The whole half turn nearest to `now`.
-#[inline(always)]
-fn due(now: u32) -> u32 {
-    now.wrapping_add(PER_HALF_TURN / 2) & !(PER_HALF_TURN - 1)
 }
 
 /// The position's variance of one axis `left` half turns later.
@@ -328,17 +320,16 @@ fn meet(row: i32, ahead: i32, station: i32, own: i32, tangent: i32, beside: &mut
     normal >> 5
 }
 
-/// What a believed plane has to tell.
-struct Told {
-    /// Of the reciprocal of the innovation's standard deviation.
-    mantissa: i32,
-    /// From the product of a covariance with the mantissa to Q16.
-    down: u32,
-    /// The innovation in standard deviations, Q13.
-    surprise: i32,
+/// The covariance with the distance from the plane of what has these `covariances` with the position; Q(32 - scale), 19
+/// bits.
+#[inline(always)]
+fn share([nx, ny, nz]: [i32; 3], [a, b, c]: [&i32; 3], scale: u32) -> i32 {
+    let sum = (*a >> scale).wrapping_mul(nx);
+    let sum = sum.wrapping_add((*b >> scale).wrapping_mul(ny));
+    sum.wrapping_add((*c >> scale).wrapping_mul(nz)) >> 10
 }
 
-impl Told {
+impl Plane {
     /// Moves one component of the state, `DOWN` from Q29, by its share of the surprise.
     #[inline(always)]
     fn moves<const DOWN: u32>(&self, share: i32, told: &mut i32, state: &mut i32) {
@@ -361,22 +352,20 @@ impl Told {
     }
 }
 
-/// Whether `value` needs more than `bits` bits and a sign.
-#[inline(always)]
-fn beyond(value: i32, bits: u32) -> bool {
-    (value >> bits).wrapping_add(1).cast_unsigned() > 1
-}
-
 /// Every value is in its place in memory here. Costs nothing, and saves the copies on the stack that the compiler would
 /// keep of 27 numbers in seven registers: a quarter of the step.
 #[inline(always)]
-fn home() {
+pub(super) fn home() {
     compiler_fence(Ordering::SeqCst);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::angle::Angle;
+    use crate::sweep::{Axis, Station};
+    use crate::track::{Course, Room, State, Step, Sweep, step};
+    use nalgebra::{Matrix3, Vector3};
     use proptest::prelude::*;
 
     prop_compose! {
@@ -389,7 +378,7 @@ mod tests {
         ) -> Estimate {
             let config = Config::HAND_HELD;
             let start = Estimate::at([0; 3], config.start_position, config.start_velocity, now);
-            Estimate { position, velocity, told, at: now, spread_at: due(now), ..start }
+            Estimate { position, velocity, told, ..start }
         }
     }
 
@@ -399,10 +388,15 @@ mod tests {
             let config = Config::HAND_HELD;
             let now = estimate.at.wrapping_add(elapsed);
             let (position, velocity, variances) = estimate.after(&config, now);
-            let mut later = estimate;
-            let spread = later.predict(&config, now);
-            // Beyond that the track is over.
-            prop_assume!(spread <= config.variance_limit);
+            // A sweep that is out of view carries the estimate on, and tells nothing.
+            let mut state = State { estimate: estimate.clone(), course: Course::Steady, now: estimate.at, ..State::default() };
+            let station = Pose { axes: Matrix3::identity(), position: Vector3::zeros() };
+            let angle = Angle(i32::MAX);
+            let dark = Sweep { station: Station::A, axis: Axis::Azimuth, angle, elapsed: elapsed.try_into().expect("a short time") };
+            let outcome = step(&config, &Room { stations: [station; 2] }, &mut state, &dark);
+            // Beyond the limit of the variances the track is over.
+            prop_assume!(outcome == Step::OutOfView);
+            let later = state.estimate;
             prop_assert_eq!(position, later.position.map(|axis| axis >> 8));
             prop_assert_eq!(velocity, later.velocity.map(|axis| (axis * 120) >> 6));
             let [xx, _, _, yy, _, zz] = later.pp;

@@ -12,13 +12,12 @@ pub(super) struct Root {
 #[inline(always)]
 pub(super) fn reciprocal_root(value: i32) -> Root {
     let value = value.cast_unsigned();
-    let top = value >> 24;
-    let shift = if top == 0 { half_width(value >> 16) } else { 4 + half_width(top) };
-    let rest = value >> (2 * shift);
-    // 2^14 <= rest < 2^16, in cells of 2^10.
-    let along = rest & ((1 << 10) - 1);
-    let line = TABLE[((rest >> 10) & 63) as usize];
-    Root { mantissa: ((line >> 16) - (((line & 0xffff) * along) >> 16)).cast_signed(), shift }
+    let shift = pairs(value, 16);
+    // The upper end of the 32 bits: 2^30 and more, in 64 cells of 2^26.
+    let rest = value << (16 - 2 * shift);
+    let along = (rest << 6) >> 16;
+    let line = TABLE[(rest >> 26) as usize];
+    Root { mantissa: ((line >> 16) - (((line & 0xffff) * along) >> 22)).cast_signed(), shift }
 }
 
 /// The square root of `value`, zero for a negative one: to 1/600 and one unit, rounded down.
@@ -34,15 +33,18 @@ pub fn square_root(value: i32) -> i32 {
     (value >> (2 * shift)).wrapping_mul(mantissa) >> (18 - shift + back)
 }
 
-/// By how many pairs of bits `value` has to be shifted to be gone; 4 for all that are longer.
+/// By how many pairs of bits `value` has to be shifted to fit into `bits`, which are at least 16.
 #[inline(always)]
-pub(super) fn half_width(value: u32) -> u32 {
-    match value {
-        0 => 0,
-        1..4 => 1,
-        4..16 => 2,
-        16..64 => 3,
-        _ => 4,
+pub(super) fn pairs(value: u32, bits: u32) -> u32 {
+    let fits = |pairs: u32| value.checked_shr(bits + 2 * pairs).unwrap_or(0) == 0;
+    if fits(3) {
+        if fits(1) { u32::from(!fits(0)) } else { 2 + u32::from(!fits(2)) }
+    } else if fits(5) {
+        4 + u32::from(!fits(4))
+    } else if fits(6) {
+        6
+    } else {
+        7 + u32::from(!fits(7))
     }
 }
 

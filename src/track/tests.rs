@@ -474,6 +474,34 @@ fn any_sweep() -> impl Strategy<Value = Sweep> {
 
 proptest! {
     #[test]
+    fn no_sweep_is_believed_when_none_was_for_too_long(
+        sweeps in prop::collection::vec((0u16..20 * 256, prop_oneof![3 => Just(0.1), 1 => Just(0.0), 1 => Just(2.0)]), 0..60),
+        gap in 0u16..60 * 256,
+    ) {
+        let stations = two_stations();
+        let mut tracker = Tracker::new(&stations);
+        let place = [0.55, 1.0, 0.85];
+        start(&CONFIG, &tracker.room, &mut tracker.state, place.map(|axis| (axis * 65536.0) as i32), 0);
+        let mut silence = 0;
+        for (n, (elapsed, off)) in sweeps.into_iter().chain([(gap, 0.0)]).enumerate() {
+            let (station, axis) = (n % 4 / 2, n % 2);
+            let sweep = Sweep {
+                station: [Station::A, Station::B][station],
+                axis: [Axis::Azimuth, Axis::Elevation][axis],
+                angle: Angle(units(stations[station].angle(axis, place) + off)),
+                elapsed,
+            };
+            silence += u32::from(elapsed);
+            match step(&CONFIG, &tracker.room, &mut tracker.state, &sweep) {
+                Step::Believed if silence < CONFIG.lost_after => silence = 0,
+                Step::Refused | Step::OutOfView if silence < CONFIG.lost_after => {}
+                Step::Lost => break,
+                other => prop_assert!(false, "{:?} after {} half turns", other, silence / 256),
+            }
+        }
+    }
+
+    #[test]
     fn whatever_came_before_two_clean_seconds_bring_it_back(
         garbage in prop::collection::vec((any_sweep(), any::<[i32; 3]>(), any::<bool>()), 0..200),
         seed in 1u64..,
@@ -509,7 +537,7 @@ proptest! {
     ) {
         let [noise, agility, gate, start_position, start_velocity, variance_limit] = numbers;
         let [lost_after, doubt_count, doubtful, fresh] = times;
-        let lost_after = lost_after & 0x3fff;
+        let (lost_after, doubt_count, doubtful) = (lost_after & 0x3fff, doubt_count as u16, doubtful as u16);
         let config = Config {
             noise, agility, gate, start_position, start_velocity, variance_limit,
             lost_after, doubt_count, doubtful, fresh, ..CONFIG

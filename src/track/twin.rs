@@ -41,7 +41,7 @@ pub(super) struct Twin {
     pv: Matrix,
     vv: Matrix,
     believed: f64,
-    refused: [[u32; 2]; 2],
+    refused: [[u16; 2]; 2],
 }
 
 impl Twin {

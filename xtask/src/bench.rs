@@ -72,7 +72,7 @@ const BUDGETS: [Budget; 8] = [
     Budget {
         figure: "track.instructions.most_less_empty",
         most: 600,
-        until_met: Some(608),
+        until_met: None,
         what: "instructions of a tracker step",
     },
     Budget { figure: "edge.own_cycles", most: 60, until_met: None, what: "cycles of an edge handler of its own" },

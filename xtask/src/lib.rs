@@ -11,6 +11,7 @@ pub mod calib;
 pub mod calibrate;
 pub mod flash;
 pub mod light;
+pub mod listen;
 pub mod output;
 pub mod pcap;
 pub mod pulses;

@@ -771,9 +771,9 @@ fn settle(voices: &mut Vec<Voice>, spoke: usize, at_s: f64) {
         return;
     }
     // Another voice that speaks between two frames of this one is another mote, once that happens again.
-    for other in 0..voices.len() {
-        if other != spoke && !voices[other].is_mote && voices[other].news >= 2 {
-            voices[other].interrupted += 1;
+    for (other, voice) in voices.iter_mut().enumerate() {
+        if other != spoke && !voice.is_mote && voice.news >= 2 {
+            voice.interrupted += 1;
         }
     }
     if let Some(twin) = voices.iter_mut().find(|voice| !voice.is_mote && voice.interrupted >= 2 && voice.news >= 3) {

@@ -82,7 +82,7 @@ fn a_gap_is_a_loss_until_a_late_frame_fills_it() {
     let (mut swarm, source) = swarm();
     let mut mote = Teller::new(1, 10, 0);
     let frames: Vec<Vec<u8>> = times(0.0, 10).map(|at_s| mote.fix(at_s)).collect();
-    for (n, at_s) in times(0.0, 10).enumerate().filter(|(n, _)| !matches!(n, 3 | 4 | 5)) {
+    for (n, at_s) in times(0.0, 10).enumerate().filter(|(n, _)| !matches!(n, 3..=5)) {
         hear(&mut swarm, at_s, source, &frames[n]).unwrap();
     }
     assert_eq!(swarm.snapshot(0).motes[0].lost, 3);

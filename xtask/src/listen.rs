@@ -161,7 +161,7 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
     }
     let calibration = schema::open(&calib)?;
     let room = RoomNews::of(&arguments.calib.display().to_string(), &calibration);
-    let (desk, from) = desk(Some(room));
+    let (mut desk, from) = desk(Some(room));
     let mut sinks = arguments.views.sinks(&desk.shared)?;
     if let Some(dir) = &arguments.record {
         sinks.push(Box::new(Recorder::create(dir, Some(&calib), desk.shared.clone())?));
@@ -180,6 +180,7 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
         if motes <= simulate::VIRTUAL {
             // Nobody wants to wait for that with a picture in front of them.
             let elf = (workshop.build)(&calib)?;
+            desk.started = Instant::now();
             simulate::virtual_motes(desk.clone(), &elf, &scene, motes)?;
         } else {
             let swarm = simulate::Swarm::new(&scene, calibration.mote.pan, motes, arguments.rate);

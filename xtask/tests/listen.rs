@@ -355,7 +355,7 @@ fn a_replay_takes_as_long_as_it_is_told() {
     assert!(started.elapsed() >= Duration::from_millis(1400), "{:?}", started.elapsed());
     let text = fs::read_to_string(&csv).unwrap();
     assert_eq!(text.lines().count(), 31, "{text}");
-    assert!(text.contains("\n2.9,roof,19528,3,0,29,full,0.29001,1.0,2.0,"), "{text}");
+    assert!(text.contains("\n2.9,roof,19528,3,0,29,full,0.28999,1.0,2.0,"), "{text}");
     let none = xtask(&["replay", "no such folder"]).output().unwrap();
     assert!(String::from_utf8_lossy(&none.stderr).contains("is that the folder of a recording?"), "{none:?}");
 }

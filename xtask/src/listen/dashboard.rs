@@ -151,32 +151,41 @@ fn clock(seconds: f64) -> String {
     format!("{}:{:02}:{:02}", whole / 3600, whole / 60 % 60, whole % 60)
 }
 
-const HEADS: [(&str, u16); 13] = [
-    ("mote", 11),
-    ("level", 7),
-    ("x m", 7),
-    ("y m", 7),
-    ("z m", 7),
-    ("m/s", 5),
-    ("+-mm", 5),
-    ("mism", 5),
-    ("age", 5),
-    ("per s", 5),
-    ("lost", 6),
-    ("MHz", 7),
-    ("lock", 20),
+/// Heads, widths, and which columns give way first: the largest.
+const COLUMNS: [(&str, u16, u8); 13] = [
+    ("mote", 11, 0),
+    ("level", 7, 0),
+    ("x m", 7, 0),
+    ("y m", 7, 0),
+    ("z m", 7, 0),
+    ("m/s", 5, 4),
+    ("+-mm", 5, 3),
+    ("mism", 5, 5),
+    ("age", 5, 2),
+    ("per s", 5, 2),
+    ("lost", 6, 1),
+    ("MHz", 7, 6),
+    ("lock", 20, 3),
 ];
 
+/// Which columns fit.
+fn columns(width: u16) -> Vec<usize> {
+    let fit = |least: u8| (0..COLUMNS.len()).filter(|n| COLUMNS[*n].2 <= least).collect::<Vec<_>>();
+    let wide = |columns: &Vec<usize>| columns.iter().map(|n| COLUMNS[*n].1 + 1).sum::<u16>() <= width + 1;
+    (0..=6).rev().map(fit).find(wide).unwrap_or_else(|| fit(0))
+}
+
 fn table(frame: &mut Frame<'_>, all: &Snapshot, first: usize, at: Rect) {
-    let rows = all.motes.iter().enumerate().skip(first).take(at.height.into()).map(|(n, mote)| row(n, mote));
-    let head = Row::new(HEADS.map(|(head, _)| head)).style(Style::new().add_modifier(Modifier::BOLD));
+    let columns = columns(at.width.saturating_sub(2));
+    let rows = all.motes.iter().enumerate().skip(first).take(at.height.into()).map(|(n, mote)| row(n, mote, &columns));
+    let head = Row::new(columns.iter().map(|n| COLUMNS[*n].0)).style(Style::new().add_modifier(Modifier::BOLD));
     let more = all.motes.len().saturating_sub(first + at.height.saturating_sub(3) as usize);
     let title = if more > 0 || first > 0 { format!(" motes ({more} more below) ") } else { " motes ".to_owned() };
-    let widths = HEADS.map(|(_, width)| Constraint::Length(width));
+    let widths = columns.iter().map(|n| Constraint::Length(COLUMNS[*n].1));
     frame.render_widget(Table::new(rows, widths).header(head).block(Block::bordered().title(title)), at);
 }
 
-fn row(n: usize, mote: &MoteNews) -> Row<'static> {
+fn row(n: usize, mote: &MoteNews, columns: &[usize]) -> Row<'static> {
     let dash = || "-".to_owned();
     let mut name = mote.key.clone();
     if mote.is_conflict {
@@ -219,6 +228,7 @@ fn row(n: usize, mote: &MoteNews) -> Row<'static> {
         ),
         Cell::new(lock).style(if is_locked { plain } else { plain.fg(Color::Red) }),
     ];
+    let cells = columns.iter().map(|n| cells[*n].clone());
     Row::new(cells).style(if is_silent { plain.add_modifier(Modifier::DIM) } else { plain })
 }
 
@@ -401,6 +411,8 @@ mod tests {
     fn a_usual_terminal_shows_what_fits() {
         let text = shown(3, 100, 40);
         assert!(text.contains("4c48/3") && text.contains("from above"), "{text}");
+        // What does not fit goes as a whole column.
+        assert!(!text.contains("MHz") && text.contains("locked") && text.contains("0.378"), "{text}");
         let text = shown(40, 80, 24);
         assert!(text.contains("more below"), "{text}");
         // Nothing is too small.

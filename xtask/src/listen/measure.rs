@@ -1,7 +1,7 @@
 //! What listening to a swarm costs: processor, memory, losses, over time.
 //!
 //! The listener is this program once more, reading a capture from a pipe at the pace at which a swarm would send; the
-//! motes are made here, so that the listener is weighed alone. It records to disk meanwhile.
+//! motes are made here, so that the listener is weighed alone. It records to disk meanwhile, unless that takes long.
 //!
 //! What can go wrong: a computer too busy to make the frames in time; the rate that was reached is printed.
 
@@ -24,6 +24,8 @@ const CPU_LIMIT: f64 = 0.5;
 const WARM_S: f64 = 30.0;
 /// What memory may grow by after that.
 const GROWTH: f64 = 1.05;
+/// A swarm of a thousand fills 3 MB of disk a second: longer than this the listener does not record, seconds.
+const RECORDED_S: f64 = 300.0;
 /// Lines of the table.
 const LINES: f64 = 12.0;
 /// How often frames are made.
@@ -38,20 +40,18 @@ pub fn measure(calib: &Path, motes: u16, rate: f64, seconds: f64) -> Result<()> 
     let calibration = schema::open(calib)?;
     let scene = simulate::scene(&calib.display().to_string(), &calibration)?;
     let mut swarm = Swarm::new(&scene, calibration.mote.pan, motes, rate);
-    println!("{motes} motes, {:.0} frames a second, for {seconds} s; the listener records", swarm.frames_per_s());
+    let records = seconds <= RECORDED_S;
+    let too = if records { "; the listener records" } else { "" };
+    println!("{motes} motes, {:.0} frames a second, for {seconds} s{too}", swarm.frames_per_s());
     let dir = tempfile::tempdir().context("a folder for the recording")?;
     let summary = dir.path().join("summary.json");
-    let mut child = Command::new(std::env::current_exe().context("this program's own name")?)
-        .args(["listen", "--capture", "-", "--plain", "--calib"])
-        .arg(calib)
-        .arg("--summary")
-        .arg(&summary)
-        .arg("--record")
-        .arg(dir.path().join("take"))
-        .stdin(Stdio::piped())
-        .stdout(Stdio::null())
-        .spawn()
-        .context("cannot start the listener")?;
+    let mut listener = Command::new(std::env::current_exe().context("this program's own name")?);
+    listener.args(["listen", "--capture", "-", "--plain", "--calib"]).arg(calib).arg("--summary").arg(&summary);
+    if records {
+        listener.arg("--record").arg(dir.path().join("take"));
+    }
+    let mut child =
+        listener.stdin(Stdio::piped()).stdout(Stdio::null()).spawn().context("cannot start the listener")?;
     let mut to = BufWriter::with_capacity(1 << 16, child.stdin.take().context("a pipe to the listener")?);
     let mut capture = Vec::new();
     pcap::write(&[], &mut capture)?;

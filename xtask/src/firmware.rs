@@ -9,6 +9,7 @@ use std::process::Command;
 use anyhow::{Context, Result, anyhow};
 use xtask::calib::{self, Calibration};
 use xtask::flash::{self, Board, Workshop};
+use xtask::listen;
 
 use crate::process::{cargo, root, run};
 use crate::setup;
@@ -41,6 +42,11 @@ pub(crate) fn flash(arguments: &flash::Arguments) -> Result<()> {
         },
     };
     flash::flash(arguments, &workshop, &mut std::io::stdin().lock())
+}
+
+/// Listens, to simulated motes with the image that is flashed if to nothing else.
+pub(crate) fn listen(arguments: &listen::Arguments) -> Result<()> {
+    listen::listen(arguments, &listen::Workshop { root: root(), build: &|calib| scum3c(calib, "") })
 }
 
 fn read(elf: &Path) -> Result<Vec<u8>> {

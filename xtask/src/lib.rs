@@ -12,6 +12,7 @@ pub mod calibrate;
 pub mod cycle;
 pub mod flash;
 pub mod light;
+pub mod listen;
 pub mod output;
 pub mod pcap;
 pub mod pulses;

@@ -72,6 +72,12 @@ enum Verb {
     /// target/scenes: summary.json, range.svg, incidence.svg. A promise that is broken, or a figure that is not in
     /// tests/expected/scenes.txt, is an error.
     Scenes(scenes::Arguments),
+    /// Hear motes and see where they are: one or a swarm, from receivers, captures, or simulated
+    ///
+    /// A dashboard in the terminal, CSV, JSON lines, a broker, a recording. docs/listening.md is the manual.
+    Listen(xtask::listen::Arguments),
+    /// Show a recording of `listen --record` again
+    Replay(xtask::listen::Replay),
     /// Put the firmware onto a chip, or onto a tray of chips: release build with the room and the id, size, programming
     ///
     /// A SCuM-3C through an nRF52840-DK or a Teensy on a serial port, an nRF52840 through probe-rs. docs/flashing.md has
@@ -129,6 +135,8 @@ fn main() -> ExitCode {
         Verb::Pulses(arguments) => xtask::pulses::pulses(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
+        Verb::Listen(arguments) => firmware::listen(&arguments).map(|()| 0),
+        Verb::Replay(arguments) => xtask::listen::replay(&arguments).map(|()| 0),
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),

@@ -34,7 +34,8 @@ pub(crate) fn run_and_read(command: &mut Command, read: impl FnMut(&str)) -> Res
 
 fn start(command: &mut Command, mut read: impl FnMut(&str)) -> Result<()> {
     let line = command_line(command);
-    println!("$ {line}");
+    // Not where `listen --json` writes.
+    eprintln!("$ {line}");
     let mut child =
         command.current_dir(root()).stdin(Stdio::null()).spawn().with_context(|| format!("cannot start {line}"))?;
     if let Some(stdout) = child.stdout.take() {

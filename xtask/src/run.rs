@@ -10,16 +10,16 @@ use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use defmt_decoder::{DecodeError, StreamDecoder, Table};
 use lighthouse_mote::frame::{self, Header, Message, Report};
 use serde_json::json;
 use sim::mote::{Load, Mote};
 use sim::scum3c::SentFrame;
-use sim::world::path::Path as MotePath;
 use sim::world::{EventKind, Scene, World};
-use xtask::calib::{Calibration, firmware as baked};
+use xtask::calib::Calibration;
 use xtask::light::{Light, LightConfig};
+use xtask::listen::simulate;
 use xtask::output::{self, Run};
 use xtask::pcap;
 use xtask::recording::Recording;
@@ -140,28 +140,11 @@ fn prepare(arguments: &Arguments) -> Result<Prepared> {
 
 /// The default scene, with the stations and a path of the named room if there is one.
 fn scene(arguments: &Arguments, named: Option<&Path>, calibration: &Calibration) -> Result<Scene> {
-    let mut scene = Scene { length_s: arguments.seconds, ..Scene::default() };
-    if let Some(named) = named {
-        let [a, b] = &calibration.stations;
-        for (station, measured) in [(&mut scene.station_a, a), (&mut scene.station_b, b)] {
-            station.rotation = measured.rotation;
-            station.position_m = measured.position;
-            for (rotor, terms) in [&mut station.azimuth, &mut station.elevation].into_iter().zip(&measured.factory) {
-                rotor.phase_rad = terms.phase;
-                rotor.tilt_rad = terms.tilt;
-                rotor.gibbous_phase_rad = terms.gibphase;
-                rotor.gibbous_magnitude_rad = terms.gibmag;
-            }
-        }
-        // The middle half of the room: a person does not carry a mote along the walls.
-        let volume = baked::bake(&named.display().to_string(), calibration)?.volume;
-        let within = |part: f64| std::array::from_fn(|k| volume.min[k] + part * (volume.max[k] - volume.min[k]));
-        scene.path = MotePath::HandHeld { low_m: within(0.25), high_m: within(0.75), mean_speed_m_per_s: 0.27 };
-    }
-    if let Err(unfit) = scene.check() {
-        bail!("the scene cannot be lit: {}", unfit.0);
-    }
-    Ok(scene)
+    let scene = match named {
+        Some(named) => simulate::scene(&named.display().to_string(), calibration)?,
+        None => Scene::default(),
+    };
+    Ok(Scene { length_s: arguments.seconds, ..scene })
 }
 
 /// A mote in the light, and what it has said so far.

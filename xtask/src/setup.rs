@@ -90,6 +90,16 @@ pub(crate) fn tool(name: &str, flags: &[&str]) -> Result<PathBuf> {
     Ok(own)
 }
 
+/// Makes sure that there is an MQTT broker to test against. Debian puts it where only root looks.
+pub(crate) fn broker() -> Result<()> {
+    let there = ["/usr/sbin/mosquitto", "/usr/bin/mosquitto", "/usr/local/sbin/mosquitto"];
+    if there.iter().any(|path| Path::new(path).is_file()) {
+        return Ok(());
+    }
+    println!("There is no MQTT broker to test against: installing the package mosquitto through apt-get.");
+    install("mosquitto")
+}
+
 fn has_board() -> bool {
     let asked = Command::new(qemu::PROGRAM).args(["-machine", "help"]).stdin(Stdio::null()).output();
     asked.is_ok_and(|asked| String::from_utf8_lossy(&asked.stdout).lines().any(|line| line.starts_with(qemu::MACHINE)))

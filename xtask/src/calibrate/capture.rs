@@ -6,6 +6,7 @@
 //! What can go wrong: bytes that are no capture, a capture of another network, an end in the middle of a frame. Each
 //! complaint names the file.
 
+use std::borrow::Cow;
 use std::io::{Cursor, Read};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,6 +16,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use lighthouse_mote::frame::fcs;
 use pcap_file::DataLink;
 use pcap_file::pcap::PcapReader;
+use pcap_file::pcapng::blocks::interface_description::InterfaceDescriptionOption;
 use pcap_file::pcapng::{Block, PcapNgReader};
 
 /// How a pcapng file begins.
@@ -22,8 +24,29 @@ const PCAPNG: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
 /// How long to wait before looking whether a file has grown.
 const LOOK_AGAIN: Duration = Duration::from_millis(50);
 
+/// One frame of a capture, with what the capture says of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record<'a> {
+    /// Since 1970, as the capture has it; a simple packet of pcapng has none.
+    pub at: Option<Duration>,
+    /// Which interface, by its name if it has one.
+    pub interface: (u32, Option<&'a str>),
+    /// The frame with its check sequence; none if the sniffer's own header makes no sense.
+    pub frame: Option<Cow<'a, [u8]>>,
+    /// Received power, dBm.
+    pub rssi_dbm: Option<f32>,
+    /// Link quality.
+    pub lqi: Option<u8>,
+}
+
 /// Hands each frame, check sequence included, to `take` until that says `false` or the capture ends.
-pub fn frames(name: &str, mut from: impl Read, mut take: impl FnMut(&[u8]) -> bool) -> Result<()> {
+pub fn frames(name: &str, from: impl Read, mut take: impl FnMut(&[u8]) -> bool) -> Result<()> {
+    // A frame whose sniffer stumbled is a frame lost.
+    records(name, from, |record| record.frame.as_deref().is_none_or(&mut take))
+}
+
+/// The same with all that the capture says.
+pub fn records(name: &str, mut from: impl Read, mut take: impl FnMut(&Record<'_>) -> bool) -> Result<()> {
     let mut magic = [0; 4];
     from.read_exact(&mut magic).with_context(|| format!("{name}: is too short for a capture"))?;
     let from = Cursor::new(magic).chain(from);
@@ -33,18 +56,28 @@ pub fn frames(name: &str, mut from: impl Read, mut take: impl FnMut(&[u8]) -> bo
         while let Some(block) = reader.next_block() {
             number += 1;
             let block = block.with_context(|| format!("{name}: block {number}"))?.into_owned();
-            let (link, data) = match block {
-                Block::EnhancedPacket(packet) => {
-                    (reader.packet_interface(&packet).map(|interface| interface.linktype), packet.data)
-                }
-                Block::SimplePacket(packet) => {
-                    (reader.interfaces().first().map(|interface| interface.linktype), packet.data)
-                }
+            let (id, ticks, data) = match block {
+                Block::EnhancedPacket(packet) => (packet.interface_id, Some(packet.timestamp), packet.data),
+                Block::SimplePacket(packet) => (0, None, packet.data),
                 _ => continue,
             };
-            let link =
-                link.ok_or_else(|| anyhow!("{name}: block {number}: a frame of an interface nobody described"))?;
-            if !hand_over(name, link, &data, &mut take)? {
+            let interface = reader
+                .interfaces()
+                .get(id as usize)
+                .ok_or_else(|| anyhow!("{name}: block {number}: a frame of an interface nobody described"))?;
+            let (mut called, mut resolution) = (None, MICROSECONDS);
+            for option in &interface.options {
+                match option {
+                    InterfaceDescriptionOption::IfName(name) => called = Some(name.as_ref()),
+                    InterfaceDescriptionOption::IfTsResol(power) => resolution = *power,
+                    _ => {}
+                }
+            }
+            // The crate takes every tick for a nanosecond.
+            let at = ticks.map(|ticks| ticks_of(ticks.as_nanos(), resolution));
+            let mut record = record(name, interface.linktype, &data)?;
+            (record.at, record.interface) = (at, (id, called));
+            if !take(&record) {
                 break;
             }
         }
@@ -56,46 +89,92 @@ pub fn frames(name: &str, mut from: impl Read, mut take: impl FnMut(&[u8]) -> bo
     while let Some(packet) = reader.next_packet() {
         number += 1;
         let packet = packet.with_context(|| format!("{name}: frame {number}"))?;
-        if !hand_over(name, link, &packet.data, &mut take)? {
+        let record = Record { at: Some(packet.timestamp), ..record(name, link, &packet.data)? };
+        if !take(&record) {
             break;
         }
     }
     Ok(())
 }
 
-fn hand_over(name: &str, link: DataLink, data: &[u8], take: &mut impl FnMut(&[u8]) -> bool) -> Result<bool> {
-    let with_check = |bytes: &[u8]| {
-        let mut frame = bytes.to_vec();
-        frame.extend(fcs(bytes).to_le_bytes());
-        frame
-    };
-    Ok(match link {
-        DataLink::IEEE802_15_4 => take(data),
-        DataLink::IEEE802_15_4_NOFCS => take(&with_check(data)),
-        DataLink::IEEE802_15_4_TAP => match tap(data) {
-            Some((frame, true)) => take(frame),
-            Some((frame, false)) => take(&with_check(frame)),
-            // A frame whose sniffer stumbled is a frame lost.
-            None => true,
-        },
-        other => bail!("{name}: link type {other:?} is not IEEE 802.15.4 (195, 230 or 283)"),
-    })
+/// What pcapng's `if_tsresol` is where it is not given: 10^-6 s.
+const MICROSECONDS: u8 = 6;
+
+/// Ticks of 10^-resolution s, or of 2^-resolution s where the highest bit is set (pcapng, 4.2).
+fn ticks_of(ticks: u128, resolution: u8) -> Duration {
+    let power = i32::from(resolution & 0x7F);
+    if resolution & 0x80 == 0 && power <= 9 {
+        let each = 10u128.pow(9 - power.unsigned_abs());
+        return Duration::from_nanos(u64::try_from(ticks * each).unwrap_or(u64::MAX));
+    }
+    let base: f64 = if resolution & 0x80 == 0 { 10.0 } else { 2.0 };
+    Duration::try_from_secs_f64(ticks as f64 * base.powi(-power)).unwrap_or_default()
 }
 
-/// The frame after a TAP header, and whether its 16-bit check sequence is there
-/// (github.com/jkcko/ieee802.15.4-tap: version, length, then type-length-values; type 0 says which check sequence).
-fn tap(data: &[u8]) -> Option<(&[u8], bool)> {
+fn record<'a>(name: &str, link: DataLink, data: &'a [u8]) -> Result<Record<'a>> {
+    let mut record = Record { at: None, interface: (0, None), frame: None, rssi_dbm: None, lqi: None };
+    record.frame = match link {
+        DataLink::IEEE802_15_4 => Some(Cow::Borrowed(data)),
+        DataLink::IEEE802_15_4_NOFCS => Some(Cow::Owned(with_check(data))),
+        DataLink::IEEE802_15_4_TAP => tap(data).map(|tap| {
+            (record.rssi_dbm, record.lqi) = (tap.rssi_dbm, tap.lqi);
+            if tap.has_check { Cow::Borrowed(tap.frame) } else { Cow::Owned(with_check(tap.frame)) }
+        }),
+        other => bail!("{name}: link type {other:?} is not IEEE 802.15.4 (195, 230 or 283)"),
+    };
+    Ok(record)
+}
+
+/// A frame and the check sequence that belongs to it.
+#[must_use]
+pub fn with_check(bytes: &[u8]) -> Vec<u8> {
+    let mut frame = bytes.to_vec();
+    frame.extend(fcs(bytes).to_le_bytes());
+    frame
+}
+
+/// What stands behind a TAP header, and what that says.
+struct Tap<'a> {
+    frame: &'a [u8],
+    has_check: bool,
+    rssi_dbm: Option<f32>,
+    lqi: Option<u8>,
+}
+
+/// Takes a TAP header apart (github.com/jkcko/ieee802.15.4-tap: version, length, then type-length-values; type 0 says
+/// which check sequence, 1 the power in dBm as a float, 10 the link quality).
+fn tap(data: &[u8]) -> Option<Tap<'_>> {
     let word = |at: usize| Some(usize::from(u16::from_le_bytes(data.get(at..at + 2)?.try_into().ok()?)));
     let length = word(2)?;
+    let mut tap = Tap { frame: data.get(length..)?, has_check: false, rssi_dbm: None, lqi: None };
     let mut at = 4;
-    let mut check = false;
     while at + 4 <= length {
-        if word(at)? == 0 {
-            check = *data.get(at + 4)? == 1;
+        let value = data.get(at + 4..).unwrap_or(&[]);
+        match word(at)? {
+            0 => tap.has_check = *value.first()? == 1,
+            1 => tap.rssi_dbm = value.first_chunk().map(|bytes| f32::from_le_bytes(*bytes)),
+            10 => tap.lqi = value.first().copied(),
+            _ => {}
         }
         at += 4 + word(at + 2)?.next_multiple_of(4);
     }
-    Some((data.get(length..)?, check))
+    Some(tap)
+}
+
+/// A TAP header for a frame with its check sequence: the counterpart of [`tap`].
+#[must_use]
+pub fn tap_header(rssi_dbm: Option<f32>, lqi: Option<u8>) -> Vec<u8> {
+    let mut header = vec![0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0];
+    if let Some(rssi_dbm) = rssi_dbm {
+        header.extend([1, 0, 4, 0]);
+        header.extend(rssi_dbm.to_le_bytes());
+    }
+    if let Some(lqi) = lqi {
+        header.extend([10, 0, 1, 0, lqi, 0, 0, 0]);
+    }
+    let length = header.len() as u8;
+    header[2] = length;
+    header
 }
 
 /// A file that may still grow: its end is a pause, until somebody says that it is enough.

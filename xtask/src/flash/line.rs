@@ -139,6 +139,20 @@ impl Line {
         text(&line).ok_or(Trouble::Garbage(line))
     }
 
+    /// Whatever is there, waited for up to `limit`; none if nothing came.
+    ///
+    /// # Errors
+    /// The other end is gone.
+    pub fn read(&mut self, bytes: &mut [u8], limit: Duration) -> Result<usize, Trouble> {
+        let read = self.0.set_timeout(limit).map_err(io::Error::from).and_then(|()| self.0.read(bytes));
+        match read {
+            Ok(0) => Err(Trouble::Gone("end of file".to_owned())),
+            Ok(count) => Ok(count),
+            Err(error) if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::Interrupted) => Ok(0),
+            Err(error) => Err(Trouble::Gone(error.to_string())),
+        }
+    }
+
     fn byte(&mut self, limit: Duration) -> io::Result<u8> {
         self.0.set_timeout(limit)?;
         let mut byte = [0];

@@ -28,7 +28,7 @@ impl std::fmt::Display for Programmer {
 }
 
 /// SEGGER: the debugger on an nRF52840-DK, which also is its serial port.
-const SEGGER: u16 = 0x1366;
+pub const SEGGER: u16 = 0x1366;
 /// PJRC's vendor number is shared by many, so the product counts too: Teensyduino's serial ports, alone (0x0483) or with
 /// other interfaces.
 const PJRC: u16 = 0x16C0;
@@ -60,10 +60,43 @@ pub fn all() -> Result<Vec<SerialPortInfo>> {
 /// The programmers among `ports`, one port each.
 #[must_use]
 pub fn programmers(ports: &[SerialPortInfo]) -> Vec<Found> {
-    let mut found: Vec<Found> = ports.iter().filter_map(identify).collect();
+    first_of_each(boards(ports, which))
+        .into_iter()
+        .map(|Board { what, port, serial }| Found { programmer: what, port, serial })
+        .collect()
+}
+
+/// A board on USB, and its port.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Board<T> {
+    /// Which kind.
+    pub what: T,
+    /// Where.
+    pub port: String,
+    /// The USB serial number, if it has one.
+    pub serial: Option<String>,
+}
+
+/// The ports whose vendor and product `which` knows, in the order of their names.
+pub fn boards<T>(ports: &[SerialPortInfo], which: impl Fn(u16, u16) -> Option<T>) -> Vec<Board<T>> {
+    let mut found: Vec<Board<T>> = ports
+        .iter()
+        // macOS has every port twice; this is the one that waits for a modem to ring.
+        .filter(|port| !port.port_name.starts_with("/dev/tty."))
+        .filter_map(|port| {
+            let SerialPortType::UsbPort(usb) = &port.port_type else { return None };
+            let what = which(usb.vid, usb.pid)?;
+            Some(Board { what, port: port.port_name.clone(), serial: usb.serial_number.clone() })
+        })
+        .collect();
     found.sort_by(|a, b| a.port.cmp(&b.port));
-    // A board's debugger may have two ports. The first one leads to the application, as scum-sdk has it.
-    let mut kept: Vec<Found> = Vec::new();
+    found
+}
+
+/// Of a board that has two ports the first: a debugger's leads to the application, as scum-sdk has it.
+#[must_use]
+pub fn first_of_each<T>(found: Vec<Board<T>>) -> Vec<Board<T>> {
+    let mut kept: Vec<Board<T>> = Vec::new();
     for one in found {
         if one.serial.is_none() || !kept.iter().any(|before| before.serial == one.serial) {
             kept.push(one);
@@ -72,18 +105,12 @@ pub fn programmers(ports: &[SerialPortInfo]) -> Vec<Found> {
     kept
 }
 
-fn identify(port: &SerialPortInfo) -> Option<Found> {
-    // macOS has every port twice; this is the one that waits for a modem to ring.
-    if port.port_name.starts_with("/dev/tty.") {
-        return None;
+fn which(vendor: u16, product: u16) -> Option<Programmer> {
+    match vendor {
+        SEGGER => Some(Programmer::Nrf),
+        PJRC if TEENSY_SERIAL.contains(&product) => Some(Programmer::Teensy),
+        _ => None,
     }
-    let SerialPortType::UsbPort(usb) = &port.port_type else { return None };
-    let programmer = match usb.vid {
-        SEGGER => Programmer::Nrf,
-        PJRC if TEENSY_SERIAL.contains(&usb.pid) => Programmer::Teensy,
-        _ => return None,
-    };
-    Some(Found { programmer, port: port.port_name.clone(), serial: usb.serial_number.clone() })
 }
 
 /// Decides: what was asked for, or what there is, or what the person at `input` says.
@@ -98,7 +125,7 @@ pub fn choose(
 ) -> Result<Found> {
     let there = programmers(ports);
     if let Some(port) = port {
-        let known = ports.iter().filter_map(identify).find(|found| found.port == port).map(|found| found.programmer);
+        let known = boards(ports, which).into_iter().find(|board| board.port == port).map(|board| board.what);
         let Some(programmer) = programmer.or(known) else {
             bail!("{port} does not tell what is behind it: add --programmer nrf or --programmer teensy");
         };

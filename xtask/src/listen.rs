@@ -1,0 +1,461 @@
+//! From the air to the desk: one mote or a swarm.
+//!
+//! One way: a [`source`] hands over frames (through [`receiver`] what a serial line says), [`model`] makes of them what is
+//! known of every mote, and views show that: [`dashboard`] in a terminal, lines where there is none, and [`output`],
+//! [`record`] and [`mqtt`] for other programs. [`simulate`] plays motes, [`measure`] weighs it all. `docs/listening.md` is
+//! the manual.
+//!
+//! What can go wrong: see each part. Nothing that comes from the air or a receiver ends the listening.
+
+use std::collections::BTreeMap;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+
+pub mod dashboard;
+pub mod measure;
+pub mod model;
+pub mod mqtt;
+pub mod output;
+pub mod receiver;
+pub mod record;
+pub mod simulate;
+pub mod source;
+
+use self::dashboard::{Dashboard, Wish};
+use self::model::{Cause, RoomNews, Shared, Snapshot, SourceId, SourceState, Swarm};
+use self::mqtt::{Broker, Mqtt};
+use self::output::{JsonLines, ReaderGone, Sink, Table};
+use self::receiver::Kind;
+use self::record::Recorder;
+use self::source::{Desk, Heard};
+use crate::calib::schema;
+
+/// What listening may be told.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// A receiver's serial port; more than one may be named [default: all that are plugged in, or motes are simulated]
+    #[arg(long, value_name = "PORT")]
+    port: Vec<String>,
+    /// What is behind these ports [default: what USB says, or an nRF Sniffer]
+    #[arg(long, value_name = "KIND")]
+    receiver: Option<Kind>,
+    /// IEEE 802.15.4 channel, 11 to 26
+    #[arg(long, default_value_t = 11, value_parser = clap::value_parser!(u8).range(11..=26))]
+    channel: u8,
+    /// A capture, pcap or pcapng, of link type 195, 230 or 283; `-` is the standard input
+    #[arg(long, value_name = "FILE")]
+    capture: Vec<PathBuf>,
+    /// So many simulated motes: up to 8 run the firmware, more say where a simulated hand carries them
+    #[arg(long, value_name = "MOTES", value_parser = clap::value_parser!(u16).range(1..=i64::from(simulate::MOST)))]
+    simulate: Option<u16>,
+    /// Reports a second of more than 8 simulated motes
+    #[arg(long, value_name = "PER_S", default_value_t = 10.0, value_parser = rate)]
+    rate: f64,
+    /// The room: stations and walls for the views, and where simulated motes move
+    #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB", default_value = "calib/default.toml")]
+    calib: PathBuf,
+    /// Write everything into a new folder, as it goes: air.pcapng, fixes.csv, health.csv
+    #[arg(long, value_name = "DIR")]
+    record: Option<PathBuf>,
+    /// End after so long, seconds
+    #[arg(long, value_name = "SECONDS", value_parser = rate)]
+    seconds: Option<f64>,
+    /// Weigh the listener for so many seconds instead: processor, memory and losses with `--simulate` motes [1000]
+    #[arg(long, value_name = "SECONDS", value_parser = rate, conflicts_with_all = ["port", "capture", "record"])]
+    measure: Option<f64>,
+    #[command(flatten)]
+    views: Views,
+}
+
+/// What a replay may be told.
+#[derive(clap::Args, Debug)]
+pub struct Replay {
+    /// The folder that `listen --record` wrote
+    dir: PathBuf,
+    /// How many times as fast as it happened; 0: as fast as possible
+    #[arg(long, default_value_t = 1.0, value_parser = speed)]
+    speed: f64,
+    #[command(flatten)]
+    views: Views,
+}
+
+/// Who is to see it.
+#[derive(clap::Args, Debug)]
+struct Views {
+    /// Fixes into a new CSV file
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Every event as a line of JSON on the standard output, and nothing else there
+    #[arg(long)]
+    json: bool,
+    /// One retained topic per mote at this broker
+    #[arg(long, value_name = "HOST[:PORT]", value_parser = mqtt::address)]
+    mqtt: Option<(String, u16)>,
+    /// What the topics begin with
+    #[arg(long, value_name = "TOPIC", default_value = "lighthouse")]
+    mqtt_prefix: String,
+    /// What this gateway is called at the broker [default: the computer's name]
+    #[arg(long, value_name = "NAME")]
+    mqtt_gateway: Option<String>,
+    /// Lines instead of the dashboard, as where the output is no terminal
+    #[arg(long)]
+    plain: bool,
+    /// Write what is known at the end as JSON
+    #[arg(long, value_name = "FILE")]
+    summary: Option<PathBuf>,
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
+        Ok(value) => Err(format!("{value} is not in 0 .. 1000000")),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    if text.parse() == Ok(0.0) { Ok(0.0) } else { rate(text) }
+}
+
+/// What only the program around this can do.
+pub struct Workshop<'a> {
+    /// The root of the repository: a calibration that is not named is there.
+    pub root: &'a Path,
+    /// Builds the firmware for a room; the ELF file's bytes.
+    pub build: &'a dyn Fn(&Path) -> Result<Vec<u8>>,
+}
+
+/// Frames that may wait to be looked at: a second of a swarm of a thousand.
+const WAITING: usize = 16_384;
+/// Frames that are looked at before anybody else may look at the motes.
+const BATCH: usize = 1024;
+/// How long to wait for one.
+const PATIENCE: Duration = Duration::from_millis(20);
+/// How often what was held back goes out.
+const TICK: Duration = Duration::from_millis(50);
+/// How often the dashboard is drawn.
+const REDRAW: Duration = Duration::from_millis(150);
+/// How often lines are printed instead, and of how many motes.
+const LINES: Duration = Duration::from_secs(2);
+const LINE_MOTES: usize = 10;
+/// How many motes a newcomer sees.
+const NEWCOMERS: u16 = 3;
+
+/// Listens until somebody says that it is enough.
+///
+/// # Errors
+/// Something that was asked for cannot be had, or a file cannot be written.
+pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
+    let calib = match arguments.calib.is_file() {
+        true => arguments.calib.clone(),
+        false => workshop.root.join(&arguments.calib),
+    };
+    if let Some(seconds) = arguments.measure {
+        return measure::measure(&calib, arguments.simulate.unwrap_or(1000), arguments.rate, seconds);
+    }
+    let calibration = schema::open(&calib)?;
+    let room = RoomNews::of(&arguments.calib.display().to_string(), &calibration);
+    let (mut desk, from) = desk(Some(room));
+    let mut sinks = arguments.views.sinks(&desk.shared)?;
+    if let Some(dir) = &arguments.record {
+        sinks.push(Box::new(Recorder::create(dir, Some(&calib), desk.shared.clone())?));
+    }
+    let explicit = !arguments.port.is_empty() || !arguments.capture.is_empty() || arguments.simulate.is_some();
+    let newcomer = !explicit && source::receivers()?.is_empty();
+    let motes = arguments.simulate.or(newcomer.then_some(NEWCOMERS));
+    if newcomer {
+        eprintln!(
+            "No receiver is plugged in: {NEWCOMERS} simulated motes are shown until one is. \
+             `--port NAME` listens to a port that does not tell what it is."
+        );
+    }
+    if let Some(motes) = motes {
+        let scene = simulate::scene(&arguments.calib.display().to_string(), &calibration)?;
+        if motes <= simulate::VIRTUAL {
+            // Nobody wants to wait for that with a picture in front of them.
+            let elf = (workshop.build)(&calib)?;
+            desk.started = Instant::now();
+            simulate::virtual_motes(desk.clone(), &elf, &scene, motes)?;
+        } else {
+            let swarm = simulate::Swarm::new(&scene, calibration.mote.pan, motes, arguments.rate);
+            simulate::swarm(desk.clone(), swarm);
+        }
+    }
+    for path in &arguments.capture {
+        source::read(desk.clone(), path)?;
+    }
+    for port in &arguments.port {
+        let kind = arguments.receiver.unwrap_or_else(|| source::kind_of(port));
+        source::listen(desk.clone(), port.clone(), kind, arguments.channel);
+    }
+    if !explicit {
+        source::listen_to_all(desk.clone(), arguments.channel);
+    }
+    // Captures have an end; receivers and simulated motes have none.
+    let ends = !arguments.capture.is_empty() && arguments.port.is_empty() && motes.is_none();
+    Session { desk, from, sinks, ends, until: arguments.seconds.map(Duration::from_secs_f64) }.run(&arguments.views)
+}
+
+/// Shows a recording again.
+///
+/// # Errors
+/// There is none, or a file cannot be written.
+pub fn replay(arguments: &Replay) -> Result<()> {
+    let room = record::room(&arguments.dir).map(|room| RoomNews::open(&room)).transpose()?;
+    let (desk, from) = desk(room);
+    let sinks = arguments.views.sinks(&desk.shared)?;
+    record::replay(desk.clone(), &arguments.dir, arguments.speed)?;
+    Session { desk, from, sinks, ends: true, until: None }.run(&arguments.views)
+}
+
+/// Where sources put what they hear, and where that comes out.
+#[must_use]
+pub fn desk(room: Option<RoomNews>) -> (Desk, Receiver<Heard>) {
+    let (to, from) = sync_channel(WAITING);
+    let shared: Shared = Arc::new(Mutex::new(Swarm::new(room)));
+    (Desk { shared, to, started: Instant::now(), enough: Arc::new(AtomicBool::new(false)) }, from)
+}
+
+impl Views {
+    fn sinks(&self, shared: &Shared) -> Result<Vec<Box<dyn Sink>>> {
+        let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
+        if let Some(csv) = &self.csv {
+            sinks.push(Box::new(Table::create(csv)?));
+        }
+        if self.json {
+            sinks.push(Box::new(JsonLines::new(std::io::stdout())));
+        }
+        if let Some((host, port)) = self.mqtt.clone() {
+            let gateway = self.mqtt_gateway.clone().unwrap_or_else(computer);
+            let broker = Broker { host, port, prefix: self.mqtt_prefix.clone(), gateway };
+            sinks.push(Box::new(Mqtt::open(broker, shared.clone())?));
+        }
+        Ok(sinks)
+    }
+}
+
+/// The name of this computer, as a topic may have it.
+fn computer() -> String {
+    let asked = std::process::Command::new("hostname").output();
+    let name = asked.map(|asked| String::from_utf8_lossy(&asked.stdout).trim().to_owned()).unwrap_or_default();
+    let name: String = name.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
+    if name.is_empty() { "gateway".to_owned() } else { name }
+}
+
+/// Listening, until it is over.
+pub struct Session {
+    /// The sources' side.
+    pub desk: Desk,
+    /// Ours.
+    pub from: Receiver<Heard>,
+    /// Ways out.
+    pub sinks: Vec<Box<dyn Sink>>,
+    /// Over when every source has ended.
+    pub ends: bool,
+    /// Over after so long.
+    pub until: Option<Duration>,
+}
+
+impl Session {
+    fn run(mut self, views: &Views) -> Result<()> {
+        let mut view = if views.json {
+            View::None
+        } else if !views.plain && std::io::stdout().is_terminal() {
+            View::Dashboard(Box::new(Dashboard::open()?))
+        } else {
+            View::Lines(Instant::now())
+        };
+        let ended = self.listen(&mut view);
+        // The terminal comes back before anything is said.
+        drop(view);
+        self.desk.enough.store(true, Ordering::Relaxed);
+        let reader_gone = matches!(&ended, Err(error) if error.is::<ReaderGone>());
+        if !reader_gone {
+            ended?;
+        }
+        let all = model::lock(&self.desk.shared).snapshot(0);
+        if let Some(path) = &views.summary {
+            let text = serde_json::to_vec_pretty(&all).context("a summary that is no JSON")?;
+            std::fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))?;
+        }
+        if !views.json {
+            println!("{}", closing(&all));
+        }
+        Ok(())
+    }
+
+    /// Takes what comes and shows it.
+    ///
+    /// # Errors
+    /// A sink cannot be written.
+    pub fn listen(&mut self, view: &mut View) -> Result<()> {
+        let mut ticked = Instant::now();
+        let mut drawn: Option<Instant> = None;
+        loop {
+            let nobody_left = match self.from.recv_timeout(PATIENCE) {
+                Ok(first) => {
+                    self.take(first)?;
+                    false
+                }
+                Err(RecvTimeoutError::Timeout) => self.ends && self.all_ended(),
+                Err(RecvTimeoutError::Disconnected) => true,
+            };
+            let over = nobody_left || self.until.is_some_and(|until| self.desk.started.elapsed() >= until);
+            if !self.ends {
+                model::lock(&self.desk.shared).pass(self.desk.now_s());
+            }
+            if over || ticked.elapsed() >= TICK {
+                ticked = Instant::now();
+                for sink in &mut self.sinks {
+                    sink.tick()?;
+                }
+            }
+            if over {
+                return Ok(());
+            }
+            if let View::Dashboard(dashboard) = view {
+                if dashboard.typed()? == Wish::Leave {
+                    return Ok(());
+                }
+                if drawn.is_none_or(|drawn| drawn.elapsed() >= REDRAW) {
+                    drawn = Some(Instant::now());
+                    let all = model::lock(&self.desk.shared).snapshot(dashboard::TRAIL);
+                    let notes: Vec<String> = self.sinks.iter().filter_map(|sink| sink.note()).collect();
+                    dashboard.draw(&all, &notes)?;
+                }
+            }
+            if let View::Lines(printed) = view
+                && printed.elapsed() >= LINES
+            {
+                *printed = Instant::now();
+                let all = model::lock(&self.desk.shared).snapshot(0);
+                let mut text = lines(&all);
+                for note in self.sinks.iter().filter_map(|sink| sink.note()) {
+                    text += &format!("  {note}\n");
+                }
+                let written = std::io::stdout().write_all(text.as_bytes());
+                if written.is_err() {
+                    bail!(ReaderGone);
+                }
+            }
+        }
+    }
+
+    /// Takes one thing that was heard, and what else is there.
+    fn take(&mut self, first: Heard) -> Result<()> {
+        let mut next = Some(first);
+        let mut events = Vec::new();
+        let mut swarm = model::lock(&self.desk.shared);
+        let mut heard = Vec::new();
+        while let Some(one) = next {
+            match &one {
+                Heard::Frame(source, at_s, bytes, signal) => events.extend(swarm.hear(*at_s, *source, bytes, *signal)),
+                Heard::Bad(source, at_s, cause, bytes) => {
+                    events.push(swarm.reject(*at_s, *source, *cause, bytes));
+                    bad_bytes(&mut swarm, *source, *cause, bytes.len());
+                }
+                Heard::State(source, state, note) => {
+                    if let Some(source) = swarm.source(*source) {
+                        source.state = *state;
+                        source.note.clone_from(note);
+                    }
+                }
+            }
+            heard.push(one);
+            next = if heard.len() < BATCH { self.from.try_recv().ok() } else { None };
+        }
+        drop(swarm);
+        for sink in &mut self.sinks {
+            for one in &heard {
+                sink.frame(one)?;
+            }
+            for event in &events {
+                sink.event(event)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn all_ended(&self) -> bool {
+        let mut swarm = model::lock(&self.desk.shared);
+        let mut count = 0;
+        while let Some(source) = swarm.source(count) {
+            if source.state != SourceState::Ended {
+                return false;
+            }
+            count += 1;
+        }
+        count > 0
+    }
+}
+
+/// What belongs to no frame is counted in bytes too.
+fn bad_bytes(swarm: &mut Swarm, source: SourceId, cause: Cause, count: usize) {
+    if matches!(cause, Cause::Line | Cause::Hdlc)
+        && let Some(source) = swarm.source(source)
+    {
+        source.bad_bytes += count as u64;
+    }
+}
+
+/// How it is shown while it lasts.
+pub enum View {
+    /// In a terminal.
+    Dashboard(Box<Dashboard>),
+    /// In lines, last printed then.
+    Lines(Instant),
+    /// Not at all.
+    None,
+}
+
+/// What is known, in lines.
+#[must_use]
+pub fn lines(all: &Snapshot) -> String {
+    let rate: f64 = all.motes.iter().map(|mote| mote.fixes_per_s).sum();
+    let lost: u64 = all.motes.iter().map(|mote| mote.lost).sum();
+    let mut text = format!(
+        "{:8.1} s  {} motes  {rate:.1} fixes/s  {lost} lost  {}\n",
+        all.time_s,
+        all.motes.len(),
+        dashboard::rejects(all)
+    );
+    for source in all.sources.iter().filter(|source| !source.note.is_empty()) {
+        text += &format!("  {} ({}): {}\n", source.name, source.kind, source.note);
+    }
+    for mote in all.motes.iter().take(LINE_MOTES) {
+        let place = match mote.fix.as_ref().and_then(|fix| fix.position_m) {
+            Some([x, y, z]) => format!("x {x:7.3}  y {y:7.3}  z {z:7.3} m"),
+            None => "no position".to_owned(),
+        };
+        let level = mote.fix.as_ref().map_or("-", |fix| fix.level);
+        let lock = mote.condition.as_ref().map_or("-", |condition| condition.lock_reason.unwrap_or("locked"));
+        let conflict = if mote.is_conflict { "  TWO MOTES WITH THIS ID" } else { "" };
+        let rate = mote.fixes_per_s;
+        text += &format!("  {:10} {level:7} {place}  {rate:5.1}/s  {} lost  {lock}{conflict}\n", mote.key, mote.lost);
+    }
+    if all.motes.len() > LINE_MOTES {
+        text += &format!("  and {} more\n", all.motes.len() - LINE_MOTES);
+    }
+    text
+}
+
+/// What there was, when it is over.
+fn closing(all: &Snapshot) -> String {
+    let lost: u64 = all.motes.iter().map(|mote| mote.lost).sum();
+    let conflicts: BTreeMap<_, _> =
+        all.motes.iter().filter(|mote| mote.is_conflict).map(|mote| ((mote.pan, mote.mote), ())).collect();
+    let mut text = format!("{} motes, {lost} frames lost, {}", all.motes.len(), dashboard::rejects(all));
+    for (pan, mote) in conflicts.keys() {
+        text += &format!("\nmore than one mote says that it is {pan:04x}/{mote}: give one of them another id");
+    }
+    for source in all.sources.iter().filter(|source| !source.note.is_empty()) {
+        text += &format!("\n{} ({}): {}", source.name, source.kind, source.note);
+    }
+    text
+}

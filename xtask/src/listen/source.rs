@@ -1,0 +1,230 @@
+//! Where frames come from: receivers on serial ports, captures, simulated motes. Each runs in its own thread and says
+//! what it hears into one queue.
+//!
+//! What can go wrong: a receiver is unplugged, is another's, sends rubbish. None of that ends anything: it is written
+//! beside the receiver's name, and a port is tried again every second. A damaged capture ends where the damage is.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::SyncSender;
+use std::thread::{sleep, spawn};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use super::model::{self, Cause, Shared, Signal, SourceId, SourceState};
+use super::receiver::{Item, Kind};
+use crate::calibrate::capture::{self, Record};
+use crate::flash::line::{Line, Trouble};
+use crate::flash::port::{self, SEGGER};
+
+/// What a source says.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Heard {
+    /// A frame with its check sequence, heard so many seconds after the start.
+    Frame(SourceId, f64, Vec<u8>, Signal),
+    /// Something that is none.
+    Bad(SourceId, f64, Cause, Vec<u8>),
+    /// How the source is now, and why.
+    State(SourceId, SourceState, String),
+}
+
+/// How long a receiver may take to say something before the thread looks around.
+const LOOK: Duration = Duration::from_millis(200);
+/// How long after a port went away it is tried again, and how often new ports are looked for.
+const AGAIN: Duration = Duration::from_secs(1);
+/// Both receivers' own; USB does not mind.
+const BAUD: u32 = 115_200;
+
+/// What every source needs.
+#[derive(Debug, Clone)]
+pub struct Desk {
+    /// The motes.
+    pub shared: Shared,
+    /// Where to say it.
+    pub to: SyncSender<Heard>,
+    /// Time zero.
+    pub started: Instant,
+    /// Set when all is over.
+    pub enough: Arc<AtomicBool>,
+}
+
+impl Desk {
+    /// Seconds since the start.
+    #[must_use]
+    pub fn now_s(&self) -> f64 {
+        self.started.elapsed().as_secs_f64()
+    }
+
+    pub(super) fn add(&self, name: &str, kind: &'static str) -> SourceId {
+        model::lock(&self.shared).add_source(name, kind)
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        self.enough.load(Ordering::Relaxed)
+    }
+
+    /// False when nobody listens any more.
+    pub(super) fn say(&self, heard: Heard) -> bool {
+        self.to.send(heard).is_ok() && !self.is_over()
+    }
+
+    pub(super) fn state(&self, source: SourceId, state: SourceState, note: impl Into<String>) {
+        let _ = self.to.send(Heard::State(source, state, note.into()));
+    }
+}
+
+/// Which receiver is behind a USB vendor and product.
+///
+/// Nordic's own sniffer firmware is 1915:154a and 1915:154b; on a development kit the debugger's port is 1366. OpenBase
+/// has an FT232R (0403:6001), OpenMote-B an FT2232H (0403:6010).
+fn which(vendor: u16, product: u16) -> Option<Kind> {
+    match (vendor, product) {
+        (0x1915, 0x154A | 0x154B) | (SEGGER, _) => Some(Kind::Nrf),
+        (0x0403, 0x6001 | 0x6010) => Some(Kind::Openmote),
+        _ => None,
+    }
+}
+
+/// The receivers that are plugged in: port and kind.
+///
+/// # Errors
+/// The system does not tell its ports.
+pub fn receivers() -> Result<Vec<(String, Kind)>> {
+    let found = port::boards(&port::all()?, which);
+    let (nrf, others): (Vec<_>, Vec<_>) = found.into_iter().partition(|board| board.what == Kind::Nrf);
+    Ok(port::first_of_each(nrf).into_iter().chain(others).map(|board| (board.port, board.what)).collect())
+}
+
+/// What a port that somebody named is, if its USB numbers tell; an nRF Sniffer otherwise.
+#[must_use]
+pub fn kind_of(name: &str) -> Kind {
+    let known = port::all().map(|ports| port::boards(&ports, which)).unwrap_or_default();
+    known.into_iter().find(|board| board.port == name).map_or(Kind::Nrf, |board| board.what)
+}
+
+/// Listens to a receiver until it is enough, however often that is unplugged.
+pub fn listen(desk: Desk, name: String, kind: Kind, channel: u8) {
+    let source = desk.add(&name, kind.name());
+    spawn(move || {
+        let mut was_there = false;
+        while !desk.is_over() {
+            let gone = match hear(&desk, source, &name, kind, channel, &mut was_there) {
+                Ok(()) => return,
+                Err(gone) => gone,
+            };
+            let note = match gone {
+                Trouble::NoPort(_) | Trouble::Gone(_) => "not plugged in".to_owned(),
+                other => other.to_string(),
+            };
+            if std::mem::take(&mut was_there)
+                && let Some(source) = model::lock(&desk.shared).source(source)
+            {
+                source.unplugged += 1;
+            }
+            desk.state(source, SourceState::Waiting, note);
+            sleep(AGAIN);
+        }
+    });
+}
+
+fn hear(
+    desk: &Desk,
+    source: SourceId,
+    name: &str,
+    kind: Kind,
+    channel: u8,
+    was_there: &mut bool,
+) -> Result<(), Trouble> {
+    let mut line = Line::open(name, BAUD)?;
+    line.send(&kind.greeting(channel))?;
+    *was_there = true;
+    desk.state(source, SourceState::Open, "");
+    let mut ear = kind.ear();
+    let mut bytes = [0; 4096];
+    loop {
+        let count = line.read(&mut bytes, LOOK)?;
+        if desk.is_over() {
+            return Ok(());
+        }
+        let now_s = desk.now_s();
+        ear.hear(&bytes[..count], |item| {
+            desk.say(match item {
+                Item::Frame(bytes, signal) => Heard::Frame(source, now_s, bytes, signal),
+                Item::Bad(cause, bytes) => Heard::Bad(source, now_s, cause, bytes),
+            });
+        });
+    }
+}
+
+/// Listens to every receiver that is plugged in now or later.
+pub fn listen_to_all(desk: Desk, channel: u8) {
+    spawn(move || {
+        let mut known = BTreeSet::new();
+        while !desk.is_over() {
+            for (name, kind) in receivers().unwrap_or_default() {
+                if known.insert(name.clone()) {
+                    listen(desk.clone(), name, kind, channel);
+                }
+            }
+            sleep(AGAIN);
+        }
+    });
+}
+
+/// Reads a capture, `-` for the standard input, as fast as it comes; its times are the capture's own.
+///
+/// # Errors
+/// It cannot be opened.
+pub fn read(desk: Desk, path: &Path) -> Result<()> {
+    let name = path.display().to_string();
+    let from: Box<dyn Read + Send> = if name == "-" {
+        Box::new(std::io::stdin())
+    } else {
+        Box::new(File::open(path).with_context(|| format!("{name}: cannot be read"))?)
+    };
+    read_from(desk, name, from);
+    Ok(())
+}
+
+/// The same from anything.
+pub fn read_from(desk: Desk, name: String, from: impl Read + Send + 'static) {
+    let source = desk.add(&name, "capture");
+    spawn(move || {
+        desk.state(source, SourceState::Open, "");
+        let mut first = None;
+        let ended = capture::records(&name, from, |record| {
+            let at_s = since(&mut first, desk.now_s(), record);
+            desk.say(as_heard(source, at_s, record))
+        });
+        match ended {
+            Ok(()) => desk.state(source, SourceState::Ended, ""),
+            Err(error) => {
+                let note = format!("{error:#}");
+                let note = note.strip_prefix(&format!("{name}: ")).unwrap_or(&note).to_owned();
+                desk.say(Heard::Bad(source, desk.now_s(), Cause::Capture, Vec::new()));
+                desk.state(source, SourceState::Ended, note);
+            }
+        }
+    });
+}
+
+/// A record as a source says it.
+pub(super) fn as_heard(source: SourceId, at_s: f64, record: &Record<'_>) -> Heard {
+    let signal = Signal { rssi_dbm: record.rssi_dbm.map(|dbm| dbm.round() as i16), lqi: record.lqi };
+    match &record.frame {
+        Some(frame) => Heard::Frame(source, at_s, frame.to_vec(), signal),
+        None => Heard::Bad(source, at_s, Cause::Capture, Vec::new()),
+    }
+}
+
+/// Seconds since the first frame of the capture, which came at `now_s`; that where the capture has no time.
+fn since(first: &mut Option<(Duration, f64)>, now_s: f64, record: &Record<'_>) -> f64 {
+    let Some(at) = record.at else { return now_s };
+    let (first, from_s) = *first.get_or_insert((at, now_s));
+    from_s + at.as_secs_f64() - first.as_secs_f64()
+}

@@ -1,0 +1,508 @@
+//! From receivers to views: the receivers' side is played over pseudo-terminals, and the program itself is run, killed and
+//! read back.
+#![cfg(unix)]
+
+#[path = "flash/player.rs"]
+#[allow(dead_code, reason = "the programmers' parts are others'")]
+mod player;
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+use fixed::types::I16F16;
+use lighthouse_mote::frame::{Header, Level, Report, emit};
+use player::{Player, line};
+use proptest::prelude::*;
+use serde_json::Value;
+use xtask::calibrate::capture;
+use xtask::flash::hdlc;
+use xtask::listen::model::{self, Snapshot, SourceState};
+use xtask::listen::receiver::Kind;
+use xtask::listen::source::{self, Desk, Heard};
+use xtask::listen::{Session, View, desk};
+use xtask::pcap;
+
+/// Long where something has to come on a busy computer.
+const LONG: Duration = Duration::from_secs(60);
+
+/// Report number `sequence` of a mote that goes along x.
+fn fix(mote: u16, sequence: u16) -> Vec<u8> {
+    let report = Report {
+        time: u32::from(sequence) * 1_000_000,
+        half_turn_q8: 83_333 << 8,
+        position: [I16F16::from_num(f64::from(sequence) / 100.0), I16F16::from_num(1), I16F16::from_num(2)],
+        level: Level::Full,
+        stations: 3,
+        ..Report::default()
+    };
+    emit(Header { pan: 0x4C48, mote, sequence }, &report).to_vec()
+}
+
+/// As the nRF Sniffer says it.
+fn said(frame: &[u8]) -> Vec<u8> {
+    let hex: String = frame[..frame.len() - 2].iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("received: {hex}ffff power: -61 lqi: 180 time: 12345\r\n").into_bytes()
+}
+
+/// A desk whose queue is emptied until something is as it should be.
+struct Bench {
+    desk: Desk,
+    from: Receiver<Heard>,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let (desk, from) = desk(None);
+        Self { desk, from }
+    }
+
+    fn until(&mut self, what: &str, is_so: impl Fn(&Snapshot) -> bool) -> Snapshot {
+        let until = Instant::now() + LONG;
+        loop {
+            if let Ok(heard) = self.from.recv_timeout(Duration::from_millis(20)) {
+                let mut swarm = model::lock(&self.desk.shared);
+                match heard {
+                    Heard::Frame(source, at_s, bytes, signal) => drop(swarm.hear(at_s, source, &bytes, signal)),
+                    Heard::Bad(source, at_s, cause, bytes) => drop(swarm.reject(at_s, source, cause, &bytes)),
+                    Heard::State(source, state, note) => {
+                        let source = swarm.source(source).expect("a source that was added");
+                        (source.state, source.note) = (state, note);
+                    }
+                }
+                continue;
+            }
+            let all = model::lock(&self.desk.shared).snapshot(10);
+            if is_so(&all) {
+                return all;
+            }
+            assert!(Instant::now() < until, "{what} did not happen: {all:#?}");
+        }
+    }
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        self.desk.enough.store(true, Ordering::Relaxed);
+    }
+}
+
+/// A port whose name stays while what is plugged in changes.
+struct Socket {
+    home: tempfile::TempDir,
+}
+
+impl Socket {
+    fn new() -> Self {
+        Self { home: tempfile::tempdir().expect("a folder") }
+    }
+
+    fn name(&self) -> String {
+        self.home.path().join("ttyACM0").display().to_string()
+    }
+
+    fn plug(&self) -> Player {
+        let (name, player) = line();
+        let _ = fs::remove_file(self.name());
+        symlink(name, self.name()).expect("a link");
+        player
+    }
+}
+
+#[test]
+fn an_nrf_sniffer_is_told_its_channel_and_heard_between_rubbish_and_after_it_was_unplugged() {
+    let socket = Socket::new();
+    let mut bench = Bench::new();
+    source::listen(bench.desk.clone(), socket.name(), Kind::Nrf, 17);
+    bench.until("waiting", |all| all.sources[0].note == "not plugged in");
+    let mut sniffer = socket.plug();
+    let mut told = String::new();
+    while !told.ends_with("receive\r\n") {
+        told += &sniffer.text().expect("a command");
+    }
+    assert_eq!(told, "\r\nsleep\r\nchannel 17\r\nreceive\r\n");
+    sniffer.noise(told.as_bytes());
+    let mut noise = said(&fix(7, 0));
+    noise.extend(b"received: 12zz power: 1 lqi: 1 time: 1\r\n\xff\x00\x80\r\n");
+    noise.extend(&said(&fix(7, 1))[..50]);
+    noise.extend(b"\n");
+    noise.extend(said(&fix(7, 2)));
+    sniffer.noise(&noise);
+    let all = bench.until("two frames", |all| all.motes.first().is_some_and(|mote| mote.frames == 2));
+    assert_eq!(serde_json::to_value(&all.rejects).unwrap(), serde_json::json!({ "line": 3 }));
+    assert_eq!((all.motes[0].lost, all.motes[0].signal.rssi_dbm), (1, Some(-61)));
+    assert_eq!(all.sources[0].state, SourceState::Open);
+    // In the middle of a line, and its name goes too.
+    sniffer.noise(&said(&fix(7, 3))[..30]);
+    drop(sniffer);
+    let _ = fs::remove_file(socket.name());
+    let all = bench.until("gone", |all| all.sources[0].state == SourceState::Waiting);
+    assert_eq!(all.sources[0].unplugged, 1);
+    let mut sniffer = socket.plug();
+    while sniffer.text().expect("a command") != "receive\r\n" {}
+    sniffer.noise(&said(&fix(7, 4)));
+    let all = bench.until("heard again", |all| all.motes[0].frames == 3);
+    assert_eq!((all.motes[0].sequence, all.motes[0].restarts, all.motes.len()), (4, 0, 1));
+}
+
+#[test]
+fn an_openmote_is_heard_between_damaged_frames() {
+    let socket = Socket::new();
+    let mut bench = Bench::new();
+    let mut mote = socket.plug();
+    source::listen(bench.desk.clone(), socket.name(), Kind::Openmote, 11);
+    bench.until("open", |all| all.sources.first().is_some_and(|source| source.state == SourceState::Open));
+    let packet = |frame: &[u8]| hdlc::encode(&[b"P\x00\x2a", frame, &[11]].concat());
+    let mut damaged = packet(&fix(9, 1));
+    damaged[20] ^= 4;
+    mote.noise(&[b"junk".to_vec(), packet(&fix(9, 0)), damaged, packet(&fix(9, 2))].concat());
+    let all = bench.until("two frames", |all| all.motes.first().is_some_and(|mote| mote.frames == 2));
+    assert_eq!(serde_json::to_value(&all.rejects).unwrap(), serde_json::json!({ "hdlc": 2 }));
+}
+
+// --- captures ---
+
+/// A capture of `frames` a tenth of a second apart, with a link type and what stands before and after a frame.
+fn captured(link: u32, frames: &[Vec<u8>], as_captured: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    pcap::write(&[], &mut bytes).unwrap();
+    bytes[20..24].copy_from_slice(&link.to_le_bytes());
+    for (n, frame) in frames.iter().enumerate() {
+        let data = as_captured(frame);
+        for word in [n as u32 / 10, n as u32 % 10 * 100_000, data.len() as u32, data.len() as u32] {
+            bytes.extend(word.to_le_bytes());
+        }
+        bytes.extend(data);
+    }
+    bytes
+}
+
+/// Reads a capture to its end.
+fn read(bytes: Vec<u8>) -> Snapshot {
+    let mut bench = Bench::new();
+    source::read_from(bench.desk.clone(), "air.pcap".into(), std::io::Cursor::new(bytes));
+    bench.until("the end", |all| all.sources[0].state == SourceState::Ended)
+}
+
+#[test]
+fn every_link_type_is_heard() {
+    let frames: Vec<Vec<u8>> = (0..30).map(|sequence| fix(3, sequence)).collect();
+    let bare = |frame: &[u8]| frame[..frame.len() - 2].to_vec();
+    let tap = |frame: &[u8]| [&capture::tap_header(Some(-70.0), Some(99))[..], frame].concat();
+    for (link, capture) in [
+        (195, captured(195, &frames, <[u8]>::to_vec)),
+        (230, captured(230, &frames, bare)),
+        (283, captured(283, &frames, tap)),
+    ] {
+        let all = read(capture);
+        let mote = &all.motes[0];
+        assert_eq!((mote.frames, mote.lost), (30, 0), "{link}");
+        assert!((mote.fixes_per_s - 10.0).abs() < 1e-6, "{link}: its own clock: {}", mote.fixes_per_s);
+        assert_eq!(mote.signal.lqi, (link == 283).then_some(99));
+        assert!(all.rejects.is_empty() && all.sources[0].note.is_empty(), "{all:?}");
+    }
+}
+
+#[test]
+fn a_damaged_capture_is_heard_up_to_the_damage() {
+    let mut frames: Vec<Vec<u8>> = (0..30).map(|sequence| fix(3, sequence)).collect();
+    frames[7][30] ^= 1;
+    let whole = captured(195, &frames, <[u8]>::to_vec);
+    let all = read(whole[..whole.len() - 40].to_vec());
+    assert_eq!(all.motes[0].frames, 28);
+    assert_eq!(serde_json::to_value(&all.rejects).unwrap(), serde_json::json!({ "fcs": 1, "capture": 1 }));
+    assert!(all.sources[0].note.starts_with("frame 30"), "{}", all.sources[0].note);
+    let all = read(b"GIF89a, not a capture".to_vec());
+    assert!(all.sources[0].note.contains("neither pcap nor pcapng"), "{}", all.sources[0].note);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+    #[test]
+    fn a_capture_damaged_anywhere_never_stops_the_program(
+        at in prop::collection::vec((0usize..3000, any::<u8>()), 0..8),
+        cut in 0usize..3000,
+        ng: bool,
+    ) {
+        let frames: Vec<Vec<u8>> = (0..30).map(|sequence| fix(3, sequence)).collect();
+        let mut bytes = if ng { recorded(&frames) } else { captured(195, &frames, <[u8]>::to_vec) };
+        for (at, value) in at {
+            let at = at % bytes.len();
+            bytes[at] = value;
+        }
+        bytes.truncate(cut.max(1));
+        let mut count = 0;
+        let _ = capture::records("air", &bytes[..], |_| { count += 1; true });
+        prop_assert!(count <= 3000 / 16);
+    }
+
+    #[test]
+    fn any_bytes_at_all_are_no_capture_or_one(mut bytes: Vec<u8>, ng: bool) {
+        if bytes.len() >= 4 && ng {
+            bytes[..4].copy_from_slice(&[0x0A, 0x0D, 0x0D, 0x0A]);
+        }
+        let _ = capture::records("air", &bytes[..], |_| true);
+    }
+}
+
+/// The frames as this program records them.
+fn recorded(frames: &[Vec<u8>]) -> Vec<u8> {
+    let home = tempfile::tempdir().unwrap();
+    let dir = home.path().join("take");
+    let (desk, from) = desk(None);
+    let recorder = xtask::listen::record::Recorder::create(&dir, None, desk.shared.clone()).unwrap();
+    let source = model::lock(&desk.shared).add_source("roof", "nrf");
+    for (n, frame) in frames.iter().enumerate() {
+        let signal = model::Signal { rssi_dbm: Some(-50), lqi: None };
+        desk.to.send(Heard::Frame(source, 0.1 * n as f64, frame.clone(), signal)).unwrap();
+    }
+    desk.to.send(Heard::State(source, SourceState::Ended, String::new())).unwrap();
+    let mut session = Session { desk, from, sinks: vec![Box::new(recorder)], ends: true, until: None };
+    session.listen(&mut View::None).unwrap();
+    drop(session);
+    fs::read(dir.join("air.pcapng")).unwrap()
+}
+
+// --- the program ---
+
+fn xtask(words: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_xtask"));
+    command.args(words).env_remove("LIGHTHOUSE_CALIB").current_dir(env!("CARGO_MANIFEST_DIR")).stdin(Stdio::null());
+    command
+}
+
+/// Ends it, however the test ends.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A swarm recorded for a while by a program that is then killed.
+fn killed_recording(dir: &Path) -> (u64, u64) {
+    let words = ["listen", "--simulate", "40", "--json", "--record", dir.to_str().unwrap()];
+    let mut child = Running(xtask(&words).stdout(Stdio::piped()).spawn().expect("it starts"));
+    let lines = BufReader::new(child.0.stdout.take().unwrap()).lines();
+    let mut seen = 0;
+    for line in lines.map_while(Result::ok) {
+        let event: Value = serde_json::from_str(&line).expect("each line is JSON");
+        assert_eq!(event["source"], "simulated swarm");
+        seen += 1;
+        if seen >= 1500 {
+            break;
+        }
+    }
+    // SIGKILL.
+    child.0.kill().expect("it was running");
+    child.0.wait().expect("it has ended");
+    let mut frames = 0;
+    let air = fs::File::open(dir.join("air.pcapng")).expect("a capture");
+    capture::records("air.pcapng", air, |record| {
+        assert!(lighthouse_mote::frame::parse(record.frame.as_deref().expect("a frame")).is_ok());
+        frames += 1;
+        true
+    })
+    .expect("whole to its last block");
+    (seen, frames)
+}
+
+#[test]
+fn a_killed_recording_reads_and_is_replayed_and_is_not_overwritten() {
+    let home = tempfile::tempdir().unwrap();
+    let dir = home.path().join("take");
+    let (seen, frames) = killed_recording(&dir);
+    // A quarter of a second of 440 frames a second, and what a busy computer adds to that.
+    assert!(frames >= seen.saturating_sub(500) && frames > 500, "{frames} of {seen}");
+    let mut rows = csv::Reader::from_path(dir.join("fixes.csv")).unwrap();
+    let fixes = rows.records().map(|row| row.expect("whole to its last row")).count();
+    assert!(fixes > 400, "{fixes}");
+    let summary = home.path().join("summary.json");
+    let words = ["replay", dir.to_str().unwrap(), "--speed", "0", "--summary", summary.to_str().unwrap()];
+    let shown = xtask(&words).output().expect("it runs");
+    assert!(shown.status.success(), "{shown:?}");
+    let all: Value = serde_json::from_slice(&fs::read(&summary).unwrap()).unwrap();
+    assert_eq!(all["frames"], frames);
+    assert_eq!(all["motes"].as_array().unwrap().len(), 40);
+    assert_eq!(all["sources"][0]["name"], "simulated swarm");
+    assert_eq!(all["room"]["stations"][0]["name"], "A");
+    assert!(all["motes"].as_array().unwrap().iter().all(|mote| mote["lost"] == 0), "{all}");
+    let before = fs::read(dir.join("air.pcapng")).unwrap();
+    let again = xtask(&["listen", "--simulate", "40", "--record", dir.to_str().unwrap()]).output().unwrap();
+    assert!(!again.status.success());
+    assert!(String::from_utf8_lossy(&again.stderr).contains("not overwritten"), "{again:?}");
+    assert_eq!(fs::read(dir.join("air.pcapng")).unwrap(), before);
+}
+
+#[test]
+fn a_replay_takes_as_long_as_it_is_told() {
+    let home = tempfile::tempdir().unwrap();
+    let frames: Vec<Vec<u8>> = (0..30).map(|sequence| fix(3, sequence)).collect();
+    fs::write(home.path().join("air.pcapng"), recorded(&frames)).unwrap();
+    let started = Instant::now();
+    let csv = home.path().join("again.csv");
+    let words = ["replay", home.path().to_str().unwrap(), "--speed", "2", "--plain", "--csv", csv.to_str().unwrap()];
+    let shown = xtask(&words).output().unwrap();
+    assert!(shown.status.success(), "{shown:?}");
+    // 2.9 s at twice the speed.
+    assert!(started.elapsed() >= Duration::from_millis(1400), "{:?}", started.elapsed());
+    let text = fs::read_to_string(&csv).unwrap();
+    assert_eq!(text.lines().count(), 31, "{text}");
+    assert!(text.contains("\n2.9,roof,19528,3,0,29,full,0.28999,1.0,2.0,"), "{text}");
+    let none = xtask(&["replay", "no such folder"]).output().unwrap();
+    assert!(String::from_utf8_lossy(&none.stderr).contains("is that the folder of a recording?"), "{none:?}");
+}
+
+#[test]
+fn a_capture_through_a_pipe_is_shown_in_lines_where_there_is_no_terminal() {
+    let mut frames: Vec<Vec<u8>> = (0..30).map(|sequence| fix(3, sequence)).collect();
+    frames[4][20] ^= 1;
+    let words = ["listen", "--capture", "-"];
+    let mut child = xtask(&words).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(&captured(195, &frames, <[u8]>::to_vec)).unwrap();
+    let mut text = String::new();
+    child.stdout.take().unwrap().read_to_string(&mut text).unwrap();
+    assert!(child.wait().unwrap().success());
+    assert_eq!(text, "1 motes, 1 frames lost, 30 frames, 0 heard twice, 1 rejected: 1 check sequence wrong\n");
+}
+
+#[test]
+fn a_swarm_is_listened_to_without_a_loss() {
+    if !Path::new("/proc/self/stat").exists() {
+        eprintln!("skipped: there is no /proc here");
+        return;
+    }
+    // The share of the processor is a matter of the computer: 100 motes for a moment only show that it is weighed.
+    let words = ["listen", "--measure", "3", "--simulate", "100"];
+    let shown = xtask(&words).output().unwrap();
+    let text = String::from_utf8_lossy(&shown.stdout);
+    println!("{text}");
+    assert!(text.contains("100 motes; ") && text.contains(" 0 lost, rejected {};"), "{shown:?}");
+}
+
+// --- a broker ---
+
+struct Mosquitto {
+    _running: Running,
+    port: u16,
+    _home: tempfile::TempDir,
+}
+
+/// Debian puts it where only root looks.
+fn mosquitto() -> Option<PathBuf> {
+    let paths =
+        ["/usr/sbin/mosquitto", "/usr/bin/mosquitto", "/usr/local/sbin/mosquitto", "/opt/homebrew/sbin/mosquitto"];
+    let found = paths.iter().map(PathBuf::from).find(|path| path.is_file());
+    if found.is_none() {
+        eprintln!("skipped: mosquitto is not installed (Debian: apt-get install mosquitto)");
+    }
+    found
+}
+
+impl Mosquitto {
+    fn start() -> Option<Self> {
+        let program = mosquitto()?;
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let home = tempfile::tempdir().unwrap();
+        let settings = home.path().join("mosquitto.conf");
+        fs::write(&settings, format!("listener {port} 127.0.0.1\nallow_anonymous true\n")).unwrap();
+        let mut command = Command::new(program);
+        let child = command.arg("-c").arg(&settings).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        let running = Running(child);
+        let until = Instant::now() + LONG;
+        while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
+            assert!(Instant::now() < until, "the broker does not answer");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        Some(Self { _running: running, port, _home: home })
+    }
+
+    /// Every message that comes until `enough` says so: topic, payload, whether it was retained.
+    fn hear(&self, mut enough: impl FnMut(&str, &[u8], bool) -> bool) {
+        let mut options = rumqttc::MqttOptions::new(format!("test-{:?}", Instant::now()), "127.0.0.1", self.port);
+        options.set_keep_alive(Duration::from_secs(5));
+        let (client, mut connection) = rumqttc::Client::new(options, 100);
+        client.subscribe("#", rumqttc::QoS::AtLeastOnce).unwrap();
+        let until = Instant::now() + LONG;
+        loop {
+            assert!(Instant::now() < until, "it did not come");
+            let Ok(Ok(event)) = connection.recv_timeout(Duration::from_secs(1)) else { continue };
+            if let rumqttc::Event::Incoming(rumqttc::Packet::Publish(message)) = event
+                && enough(&message.topic, &message.payload, message.retain)
+            {
+                return;
+            }
+        }
+    }
+}
+
+#[test]
+fn a_broker_has_one_retained_topic_per_mote() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let address = format!("127.0.0.1:{}", broker.port);
+    let words = ["listen", "--simulate", "12", "--json", "--mqtt", &address, "--mqtt-gateway", "roof"];
+    let mut gateway = Running(xtask(&words).stdout(Stdio::null()).spawn().unwrap());
+    let mut online = false;
+    let mut seen = std::collections::BTreeSet::new();
+    broker.hear(|topic, payload, _| {
+        online |= topic == "lighthouse/gateway/roof" && payload == b"online";
+        if topic.starts_with("lighthouse/4c48/") {
+            seen.insert(topic.to_owned());
+        }
+        online && seen.len() == 12
+    });
+    // Whoever comes later knows at once.
+    let mut retained = None;
+    broker.hear(|topic, payload, is_retained| {
+        if topic == "lighthouse/4c48/7" && is_retained {
+            retained = Some(payload.to_vec());
+        }
+        retained.is_some()
+    });
+    let mote: Value = serde_json::from_slice(&retained.unwrap()).unwrap();
+    assert_eq!((&mote["gateway"], &mote["mote"], &mote["fix"]["level"]), (&"roof".into(), &7.into(), &"full".into()));
+    assert!(mote["fix"]["position_m"][0].is_number() && mote["time_unix_s"].as_f64() > Some(1.6e9), "{mote}");
+    assert_eq!(mote["trail"], serde_json::json!([]));
+    gateway.0.kill().unwrap();
+    // The broker says it.
+    broker.hear(|topic, payload, _| topic == "lighthouse/gateway/roof" && payload == b"offline");
+}
+
+#[test]
+fn what_one_gateway_has_said_another_leaves() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let address = format!("127.0.0.1:{}", broker.port);
+    let home = tempfile::tempdir().unwrap();
+    let frames: Vec<Vec<u8>> = (0..60).map(|sequence| fix(3, sequence)).collect();
+    fs::write(home.path().join("air.pcapng"), recorded(&frames)).unwrap();
+    // Two gateways hear the same mote; one is half a second late.
+    let gateway = |name: &str| {
+        let words = ["replay", home.path().to_str().unwrap(), "--json", "--mqtt", &address, "--mqtt-gateway", name];
+        Running(xtask(&words).stdout(Stdio::null()).spawn().unwrap())
+    };
+    let _first = gateway("first");
+    let mut second = None;
+    let mut by = std::collections::BTreeMap::<u64, Vec<String>>::new();
+    broker.hear(|topic, payload, _| {
+        if topic == "lighthouse/4c48/3" {
+            let mote: Value = serde_json::from_slice(payload).unwrap();
+            let sequence = mote["sequence"].as_u64().unwrap();
+            by.entry(sequence).or_default().push(mote["gateway"].as_str().unwrap().to_owned());
+            if sequence >= 5 && second.is_none() {
+                second = Some(gateway("second"));
+            }
+        }
+        by.contains_key(&59)
+    });
+    let said: Vec<&str> = by.values().flatten().map(String::as_str).collect();
+    let late = said.iter().filter(|gateway| **gateway == "second").count();
+    assert!(by.len() > 30, "{by:?}");
+    assert_eq!(late, 0, "{by:?}");
+}

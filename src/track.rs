@@ -10,7 +10,7 @@
 //! - The innovation is formed modulo 2^32, which is 4 m: its terms may overflow, their sum does not on a track that is
 //!   not metres off. [`start`] therefore wants a fix in both stations' view, and a rotor that is refused again and
 //!   again ends the track.
-//! - Covariances are Q32 m^2. One step shifts them to 18 significant bits, so every product fits 32 bits: the
+//! - Covariances are Q32 m^2. One step shifts them to 17 significant bits, so every product fits 32 bits: the
 //!   Cortex-M0 multiplies 32 x 32 -> 32 in one instruction and anything wider in fifty. The gain is kept divided by the
 //!   root of the innovation's variance, in Q16 m, so that products of it are Q32 as they come.
 //! - The full 6 x 6 covariance is kept. Where only the position has one and the velocity's gain follows the position's,

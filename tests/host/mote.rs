@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use crate::chain::{Chain, Config, Estimate};
 use crate::edge::Edge;
 use crate::frame::{self, Header, Message, Reset};
+use crate::identity::Identity;
 use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
@@ -16,12 +17,8 @@ pub(super) mod mote;
 
 use mote::crumb::{Crash, Crumb, Kind};
 use mote::queue::{Queue, Reader, Writer};
-use mote::stages::{Air, Board, Classify, Frames, Sightings, Solve, Tales};
-
-mod room {
-    #![allow(dead_code, reason = "what a board wants besides the room")]
-    include!(concat!(env!("OUT_DIR"), "/calib.rs"));
-}
+use mote::room;
+use mote::stages::{Board, Classify, Queues, Solve};
 
 /// A mote at rest at 0.5, 1.0, 0.5 m of the default room: `tests/chain.rs` has the derivation.
 const LIGHT: Cycle = Cycle { sweep_after: [[167_155, 200_996], [237_081, 191_772]], ..Cycle::TYPICAL };
@@ -67,18 +64,9 @@ impl App {
             Box::leak(Box::new(value))
         }
         let (light, pulses) = leak(Queue::new()).split();
-        let (to_solve, sightings) = leak(Sightings::new()).split();
-        let (to_tell, tales) = leak(Tales::new()).split();
-        let (to_radio, air) = leak(Air::new()).split();
-        Self {
-            config,
-            light,
-            classify: Classify::new(pulses, to_solve, to_tell),
-            solve: Solve::new(sightings, tales, Frames::new(to_radio, HEADER), reset),
-            air,
-            deaf: false,
-            heard: Vec::new(),
-        }
+        let identity = Identity { mote: HEADER.mote, pan: HEADER.pan, channel: 0 };
+        let (classify, solve, air) = leak(Queues::new()).wire(pulses, identity, reset);
+        Self { config, light, classify, solve, air, deaf: false, heard: Vec::new() }
     }
 
     fn pulse(&mut self, pulse: Pulse) {

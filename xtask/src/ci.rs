@@ -9,6 +9,7 @@ use crate::bench::{self, bench};
 use crate::fuzz::{self, fuzz};
 use crate::oracle;
 use crate::process::{cargo, run};
+use crate::run as fly;
 use crate::scenes::{self, scenes};
 use crate::setup;
 use crate::test::{Tally, run_all};
@@ -21,9 +22,10 @@ struct Board {
     what: &'static [&'static str],
 }
 
-const BOARDS: [Board; 4] = [
+const BOARDS: [Board; 5] = [
     Board { feature: "scum3c", target: setup::CORTEX_M0, what: &["--lib", "--bins"] },
     Board { feature: "nrf52840", target: setup::CORTEX_M4F, what: &["--lib", "--bin", "nrf52840"] },
+    Board { feature: "microbit", target: setup::CORTEX_M0, what: &["--lib", "--bin", "microbit"] },
     Board { feature: "bench", target: setup::CORTEX_M0, what: &["--bin", "bench"] },
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
@@ -44,6 +46,7 @@ pub(crate) fn ci() -> Result<()> {
     });
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
+    tally.check("the same fixes on two boards", || fly::run(&fly::Arguments::both_boards()));
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
     tally.check("calibration beside OpenCV, 20 rooms", || oracle::oracle(20));
     tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));

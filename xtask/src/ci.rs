@@ -1,12 +1,13 @@
 //! All that a change has to pass.
 //!
 //! What can go wrong: lints that the computer never sees. A board's binary compiles for its own processor only, so
-//! each board is linted by itself, with its own feature. The nRF52840's image is linked too: no other check runs it.
+//! each board is linted by itself, with its own feature. The nRF52840's image is weighed too: no other check links it.
 
 use anyhow::Result;
 
 use crate::bench::{self, bench};
 use crate::fuzz::{self, fuzz};
+use crate::memory::{self, memory};
 use crate::oracle;
 use crate::process::{cargo, run};
 use crate::run as fly;
@@ -40,10 +41,7 @@ pub(crate) fn ci() -> Result<()> {
     for board in &BOARDS {
         tally.check(&format!("lints for {}", board.feature), || lint(board));
     }
-    tally.check("the image for nrf52840", || {
-        let arguments = ["build", "--release", "--bin", "nrf52840", "--features", "nrf52840", "--target"];
-        run(cargo(&arguments).arg(setup::CORTEX_M4F))
-    });
+    tally.check("memory and stack of every board", || memory(&memory::Arguments::PLAIN));
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("the same fixes on two boards", || fly::run(&fly::Arguments::both_boards()));

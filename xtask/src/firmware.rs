@@ -52,7 +52,8 @@ pub(crate) fn build(name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
     build_for(setup::CORTEX_M0, name, calib, mote)
 }
 
-fn build_for(target: &str, name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
+/// The same for a processor of another kind.
+pub(crate) fn build_for(target: &str, name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
     setup::target(target)?;
     let arguments = ["build", "--release", "--bin", name, "--features", name, "--target", target];
     let calib = calib.canonicalize().with_context(|| calib.display().to_string())?;

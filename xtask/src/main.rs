@@ -16,6 +16,7 @@ mod bench;
 mod ci;
 mod firmware;
 mod fuzz;
+mod memory;
 mod oracle;
 mod process;
 mod qemu;
@@ -63,6 +64,11 @@ enum Verb {
     /// and has QEMU count the same instructions. Prints one table and writes target/bench/summary.json. What grew
     /// since tests/expected/bench.txt was written is an error.
     Bench(bench::Arguments),
+    /// Weigh every board's image: code, constants, variables, and the deepest that its stack can ever be
+    ///
+    /// The stack is bounded by reading the program: frames, calls, and the worst nesting of priorities. What may not fit
+    /// into its room, or grew since tests/expected/memory.txt was written, is an error.
+    Memory(memory::Arguments),
     /// Put the firmware into light that is not kind: occlusions, reflections, strobes, stuck lines, moved stations
     ///
     /// Runs the release firmware in the virtual mote through every named scene. Prints one table and writes
@@ -110,6 +116,7 @@ fn main() -> ExitCode {
         Verb::Calibrate(arguments) => xtask::calibrate::calibrate(&arguments).map(|()| 0),
         Verb::Pulses(arguments) => xtask::pulses::pulses(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
+        Verb::Memory(arguments) => memory::memory(&arguments).map(|()| 0),
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),

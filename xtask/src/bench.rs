@@ -22,6 +22,7 @@ use crate::firmware;
 use crate::process::root;
 use judge::Counted;
 use stages::{Cost, STAGES};
+pub(crate) use whole::readable;
 use whole::{Run, Size, Whole};
 
 /// What the bench may be told.

@@ -39,7 +39,8 @@ enum Verb {
     /// it finds itself
     ///
     /// Prints what the mote reports while it runs and a table at the end, and writes target/run: fixes.csv,
-    /// frames.pcap (for Wireshark), trajectory.svg (look at it), summary.json.
+    /// frames.pcap (for Wireshark), trajectory.svg (look at it), summary.json. With --board microbit the same light then
+    /// goes to that board in QEMU, and a fix that differs in one bit is an error.
     Run(run::Arguments),
     /// Show what a room becomes on the mote: which solver it gets, and how exact that is
     Bake {

@@ -7,6 +7,9 @@
 //! A bound, not a measurement: a frame counts as a whole where a call is made from part of it, and every priority counts
 //! as interrupted at its worst.
 //!
+//! One recursion is known and has an end: a panic logs, and the log panics where it was taken already. The second panic
+//! has nothing to log (`src/bin/mote/fault.rs`), so a way through the panic handler is followed twice and no further.
+//!
 //! What can go wrong: what cannot be read is an error and never a guess: a recursion, a jump out of a function through a
 //! register, a stack pointer that is set from one, a handler without a priority. A call through a register counts as a
 //! call of the neediest function whose address is a word of the program.
@@ -18,11 +21,16 @@ use object::read::elf::ElfFile32;
 use object::{LittleEndian, Object, ObjectSection, ObjectSymbol, SymbolKind};
 
 use super::thumb::{self, Effect};
+use crate::bench::readable;
 
 /// What the core pushes as it takes an exception: eight words, and one where the stack pointer was not on a double word
 /// (ARMv6-M ARM, B1.5.6); a core with floating point 18 more (ARMv7-M ARM, B1.5.6).
 const EXCEPTION_FRAME: u32 = 8 * 4 + 4;
 const FLOATING_POINT: u32 = 18 * 4;
+
+/// The panic handler's name holds this, and a way leads through it so often at most.
+const PANIC: &str = "rust_begin_unwind";
+const PANICS: u8 = 2;
 
 /// A task that an interrupt line runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -101,10 +109,17 @@ pub(super) fn bound(elf: &[u8], tasks: &[Task], has_floating_point: bool) -> Res
 #[derive(Debug, Default)]
 struct Function {
     name: String,
+    /// Bytes, its literals among them; 0 where the assembler does not say.
+    size: u32,
     frame: u32,
     calls: BTreeSet<u32>,
     calls_through_register: bool,
 }
+
+/// A function's address, and how many panics lie before it.
+type Place = (u32, u8);
+/// Bytes, and the way, outermost first.
+type Need = (u32, Vec<u32>);
 
 /// A program, taken apart.
 struct Program {
@@ -141,6 +156,7 @@ impl Program {
                     if function.name.is_empty() || symbol.size() > 0 {
                         function.name = name.to_string();
                     }
+                    function.size = function.size.max(symbol.size() as u32);
                 }
                 _ => drop(symbols.insert(name.to_string(), address)),
             }
@@ -149,7 +165,11 @@ impl Program {
         let half = |at: u32| text.get((at - base) as usize..)?.first_chunk().map(|bytes| u16::from_le_bytes(*bytes));
         let starts: Vec<u32> = functions.keys().copied().collect();
         for (n, &start) in starts.iter().enumerate() {
-            let stop = starts.get(n + 1).copied().unwrap_or(end);
+            // Behind a function the linker fills up with what is no code.
+            let stop = match functions[&start].size {
+                0 => starts.get(n + 1).copied().unwrap_or(end),
+                size => start + size,
+            };
             let mut at = start;
             let mut before = Vec::new();
             while at < stop {
@@ -207,7 +227,7 @@ impl Program {
     }
 
     fn layer(&self, what: &str, first: &str, address: u32, entry: u32) -> Result<Layer> {
-        let (bytes, way) = self.need(address, &mut Vec::new(), &mut BTreeMap::new())?;
+        let (bytes, way) = self.need((address, 0), &mut Vec::new(), &mut BTreeMap::new())?;
         let mut names: Vec<String> = way.iter().map(|address| self.name(*address)).collect();
         if let Some(name) = names.first_mut() {
             *name = first.to_string();
@@ -215,23 +235,24 @@ impl Program {
         Ok(Layer { what: what.to_string(), way: names, bytes: bytes + entry })
     }
 
-    /// What a function needs with all that it calls, and the way there.
-    fn need(
-        &self,
-        address: u32,
-        above: &mut Vec<u32>,
-        known: &mut BTreeMap<u32, (u32, Vec<u32>)>,
-    ) -> Result<(u32, Vec<u32>)> {
-        if let Some(need) = known.get(&address) {
+    /// What a function needs with all that it calls behind so many panics, and the way there.
+    fn need(&self, place: Place, above: &mut Vec<Place>, known: &mut BTreeMap<Place, Need>) -> Result<Need> {
+        if let Some(need) = known.get(&place) {
             return Ok(need.clone());
         }
-        if let Some(at) = above.iter().position(|other| *other == address) {
-            let names: Vec<String> = above[at..].iter().chain([&address]).map(|address| self.name(*address)).collect();
+        if let Some(at) = above.iter().position(|other| *other == place) {
+            let names: Vec<String> =
+                above[at..].iter().chain([&place]).map(|(address, _)| self.name(*address)).collect();
             bail!("a recursion, whose depth nobody knows: {}", names.join(" -> "));
         }
+        let (address, panics) = place;
         let function =
             self.functions.get(&address).with_context(|| format!("{address:#x} is called and is no function"))?;
-        above.push(address);
+        let panics = panics + u8::from(function.name.contains(PANIC));
+        if panics > PANICS {
+            return Ok((0, Vec::new()));
+        }
+        above.push(place);
         let through: &BTreeSet<u32> = if function.calls_through_register { &self.taken } else { &BTreeSet::new() };
         ensure!(
             !function.calls_through_register || !through.is_empty(),
@@ -240,7 +261,7 @@ impl Program {
         );
         let mut most = (0, Vec::new());
         for callee in function.calls.iter().chain(through) {
-            let need = self.need(*callee, above, known)?;
+            let need = self.need((*callee, panics), above, known)?;
             if need.0 > most.0 || most.1.is_empty() {
                 most = need;
             }
@@ -249,18 +270,8 @@ impl Program {
         let mut way = vec![address];
         way.extend(&most.1);
         let need = (function.frame + most.0, way);
-        known.insert(address, need.clone());
+        known.insert(place, need.clone());
         Ok(need)
-    }
-}
-
-/// The last part of a mangled name.
-fn readable(name: &str) -> String {
-    let parts = name.split(|c: char| c.is_ascii_digit()).filter(|part| part.len() > 1 && !part.starts_with("_ZN"));
-    let parts: Vec<&str> = parts.filter(|part| !part.starts_with('h') || part.len() > 5).collect();
-    match (name.starts_with("_ZN"), parts.as_slice()) {
-        (true, [.., last]) => (*last).to_string(),
-        _ => name.to_string(),
     }
 }
 
@@ -280,7 +291,7 @@ mod tests {
     fn program(functions: &[(u32, u32, &[u32])]) -> Program {
         let function = |(address, frame, calls): &(u32, u32, &[u32])| {
             let calls = calls.iter().copied().collect();
-            (*address, Function { name: format!("f{address}"), frame: *frame, calls, calls_through_register: false })
+            (*address, Function { name: format!("f{address}"), frame: *frame, calls, ..Function::default() })
         };
         Program {
             functions: functions.iter().map(function).collect(),
@@ -293,22 +304,30 @@ mod tests {
     #[test]
     fn the_neediest_way_counts_and_not_the_longest() {
         let program = program(&[(0, 8, &[2, 4]), (2, 8, &[6]), (4, 100, &[]), (6, 8, &[])]);
-        assert_eq!(program.need(0, &mut Vec::new(), &mut BTreeMap::new()).ok(), Some((108, vec![0, 4])));
+        assert_eq!(program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new()).ok(), Some((108, vec![0, 4])));
     }
 
     #[test]
     fn a_recursion_is_named_and_refused() {
         let program = program(&[(0, 8, &[2]), (2, 8, &[4]), (4, 8, &[2])]);
-        let error = program.need(0, &mut Vec::new(), &mut BTreeMap::new()).expect_err("it goes round");
+        let error = program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new()).expect_err("it goes round");
         assert!(error.to_string().ends_with("f2 -> f4 -> f2"), "{error}");
+    }
+
+    #[test]
+    fn a_panic_in_a_panic_is_followed_and_a_third_is_not() {
+        let mut program = program(&[(0, 8, &[2]), (2, 100, &[4]), (4, 16, &[2])]);
+        program.functions.get_mut(&2).expect("it is there").name = PANIC.to_string();
+        let need = program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new());
+        assert_eq!(need.ok(), Some((8 + 2 * (100 + 16), vec![0, 2, 4, 2, 4])));
     }
 
     #[test]
     fn a_call_through_a_register_may_go_wherever_an_address_is_known() {
         let mut program = program(&[(0, 8, &[]), (2, 40, &[]), (4, 16, &[])]);
         program.functions.get_mut(&0).expect("it is there").calls_through_register = true;
-        assert!(program.need(0, &mut Vec::new(), &mut BTreeMap::new()).is_err());
+        assert!(program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new()).is_err());
         program.taken = BTreeSet::from([2, 4]);
-        assert_eq!(program.need(0, &mut Vec::new(), &mut BTreeMap::new()).ok(), Some((48, vec![0, 2])));
+        assert_eq!(program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new()).ok(), Some((48, vec![0, 2])));
     }
 }

@@ -63,6 +63,9 @@ struct Board {
     flash: u32,
     /// Bytes of data memory at 0x2000_0000.
     ram: u32,
+    /// Of those, the first bytes, for the stack; a multiple of 8 (AAPCS). `cargo xtask memory` proves that a board's is
+    /// enough.
+    stack: u32,
     /// The folder of a hand-written `device.x`, where no peripheral access crate brings one.
     device: Option<&'static str>,
 }
@@ -75,13 +78,37 @@ const BOARDS: &[Board] = &[
         unit: Unit::Bin("scum3c"),
         flash: 64 * 1024 - 8,
         ram: 64 * 1024,
+        stack: 2 * 1024,
         device: Some("src/bin/scum3c"),
     },
     // The whole chip: no boot loader, no SoftDevice (PS 4.2). Its peripheral access crate brings `device.x`.
-    Board { feature: "nrf52840", unit: Unit::Bin("nrf52840"), flash: 1024 * 1024, ram: 256 * 1024, device: None },
-    // nRF51822 as in QEMU's `microbit`.
-    Board { feature: "qemu", unit: Unit::Tests, flash: 256 * 1024, ram: 16 * 1024, device: None },
-    Board { feature: "bench", unit: Unit::Bin("bench"), flash: 256 * 1024, ram: 16 * 1024, device: None },
+    Board {
+        feature: "nrf52840",
+        unit: Unit::Bin("nrf52840"),
+        flash: 1024 * 1024,
+        ram: 256 * 1024,
+        stack: 8 * 1024,
+        device: None,
+    },
+    // nRF51822. The upper 192 KiB of its flash hold the light that it plays.
+    Board {
+        feature: "microbit",
+        unit: Unit::Bin("microbit"),
+        flash: 64 * 1024,
+        ram: 16 * 1024,
+        stack: 4 * 1024,
+        device: None,
+    },
+    // The same chip, as in QEMU's `microbit`.
+    Board { feature: "qemu", unit: Unit::Tests, flash: 256 * 1024, ram: 16 * 1024, stack: 12 * 1024, device: None },
+    Board {
+        feature: "bench",
+        unit: Unit::Bin("bench"),
+        flash: 256 * 1024,
+        ram: 16 * 1024,
+        stack: 8 * 1024,
+        device: None,
+    },
 ];
 
 /// Hands the linker its scripts and each board its memory.
@@ -108,6 +135,7 @@ fn link() {
         }
         println!("{kind}=--defsym=__flash_size={}", board.flash);
         println!("{kind}=--defsym=__ram_size={}", board.ram);
+        println!("{kind}=--defsym=__stack_size={}", board.stack);
         // `--nmagic`: no page alignment between sections; a mote has no pages.
         for argument in ["--nmagic", "-Tlink.x"] {
             println!("{kind}={argument}");

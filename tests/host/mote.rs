@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use crate::chain::{Chain, Config, Estimate};
 use crate::edge::Edge;
 use crate::frame::{self, Header, Message, Reset};
+use crate::identity::Identity;
 use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
@@ -14,14 +15,12 @@ use crate::time::{Span, Ticks};
 #[path = "../../src/bin/mote/mod.rs"]
 pub(super) mod mote;
 
+use mote::bytes::Bytes;
 use mote::crumb::{Crash, Crumb, Kind};
+use mote::edges::Edges;
 use mote::queue::{Queue, Reader, Writer};
-use mote::stages::{Air, Board, Classify, Frames, Sightings, Solve, Tales};
-
-mod room {
-    #![allow(dead_code, reason = "what a board wants besides the room")]
-    include!(concat!(env!("OUT_DIR"), "/calib.rs"));
-}
+use mote::room;
+use mote::stages::{Board, Classify, Pulses, Queues, Solve};
 
 /// A mote at rest at 0.5, 1.0, 0.5 m of the default room: `tests/chain.rs` has the derivation.
 const LIGHT: Cycle = Cycle { sweep_after: [[167_155, 200_996], [237_081, 191_772]], ..Cycle::TYPICAL };
@@ -67,18 +66,9 @@ impl App {
             Box::leak(Box::new(value))
         }
         let (light, pulses) = leak(Queue::new()).split();
-        let (to_solve, sightings) = leak(Sightings::new()).split();
-        let (to_tell, tales) = leak(Tales::new()).split();
-        let (to_radio, air) = leak(Air::new()).split();
-        Self {
-            config,
-            light,
-            classify: Classify::new(pulses, to_solve, to_tell),
-            solve: Solve::new(sightings, tales, Frames::new(to_radio, HEADER), reset),
-            air,
-            deaf: false,
-            heard: Vec::new(),
-        }
+        let identity = Identity { mote: HEADER.mote, pan: HEADER.pan, channel: 0 };
+        let (classify, solve, air) = leak(Queues::new()).wire(pulses, identity, reset);
+        Self { config, light, classify, solve, air, deaf: false, heard: Vec::new() }
     }
 
     fn pulse(&mut self, pulse: Pulse) {
@@ -249,4 +239,37 @@ proptest! {
             prop_assert_eq!(reader.has_several(), model.len() > 1);
         }
     }
+}
+
+#[test]
+fn changes_become_pulses_and_what_finds_no_room_is_counted_by_edges() {
+    let (mut edges, mut waiting) = Edges::split(Box::leak(Box::new(Queue::new())));
+    for n in 0..20u32 {
+        assert!(!edges.change(Ticks(100 * n)));
+        // 16 fit.
+        assert_eq!(edges.change(Ticks(100 * n + 7)), n < 16);
+    }
+    assert_eq!(<Edges as Board>::edges_lost(), 8);
+    for n in 0..16u32 {
+        assert_eq!(waiting.next(), Some(Pulse { start: Ticks(100 * n), width: Span(7) }));
+    }
+    assert!(waiting.is_empty());
+}
+
+#[test]
+fn frames_on_a_wire_stand_behind_their_lengths() {
+    let (mut writer, reader) = Box::leak(Box::new(Queue::new())).split();
+    let mut bytes = Bytes::new(reader);
+    assert_eq!(bytes.next(), None);
+    let mut expected = Vec::new();
+    for sequence in 0..3 {
+        let header = Header { sequence, ..HEADER };
+        assert!(writer.fill(|frame| frame::emit_into(frame, header, &frame::Report::default())));
+        let frame = frame::emit(header, &frame::Report::default());
+        expected.push(frame.len() as u8);
+        expected.extend(frame);
+    }
+    let sent: Vec<u8> = std::iter::from_fn(|| bytes.next()).collect();
+    assert_eq!(sent, expected);
+    assert_eq!(bytes.next(), None);
 }

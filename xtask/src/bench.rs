@@ -22,6 +22,7 @@ use crate::firmware;
 use crate::process::root;
 use judge::Counted;
 use stages::{Cost, STAGES};
+pub(crate) use whole::readable;
 use whole::{Run, Size, Whole};
 
 /// What the bench may be told.
@@ -43,6 +44,8 @@ const OUT: &str = "target/bench";
 const LIGHT_S: f64 = 124.0;
 /// Of that, looked at one instruction at a time.
 const PROFILE_S: f64 = 3.0;
+/// Light in which the stack is looked at, seconds: the stations have said who they are.
+const STACK_S: f64 = 30.0;
 /// How far QEMU's count may be from ours, percent.
 const AGREEMENT_PERCENT: f64 = 0.1;
 /// Fractions are kept as whole numbers of thousandths.
@@ -138,6 +141,13 @@ pub(crate) fn bench(arguments: &Arguments) -> Result<()> {
     let known = std::fs::read_to_string(&expected)
         .with_context(|| format!("{EXPECTED}; `cargo xtask bench --bless` writes it"))?;
     compare(&known, &figures)
+}
+
+/// The deepest stack of the SCuM-3C's firmware in a while of full light at 5 MHz.
+pub(crate) fn deepest_stack(elf: &[u8]) -> Result<u32> {
+    let run =
+        Run { hclk_hz: 5_000_000, multiplier: Multiplier::Fast, full_light: true, seconds: STACK_S, profile: false };
+    Ok(whole::run(elf, &run)?.stack)
 }
 
 /// Counts everything that our own machine can count.

@@ -1,16 +1,19 @@
 //! All that a change has to pass.
 //!
 //! What can go wrong: lints that the computer never sees. A board's binary compiles for its own processor only, so
-//! each board is linted by itself, with its own feature. The images are linked too, twice: no other check runs the nRF52840's.
+//! each board is linted by itself, with its own feature. The images
+//! are linked too, twice, and weighed: no other check runs the nRF52840's.
 
 use anyhow::Result;
 
 use crate::bench::{self, bench};
 use crate::claims::{self, claims};
 use crate::fuzz::{self, fuzz};
+use crate::memory::{self, memory};
 use crate::oracle;
 use crate::process::{cargo, run};
 use crate::reproduce;
+use crate::run as fly;
 use crate::scenes::{self, scenes};
 use crate::setup;
 use crate::test::{Tally, run_all};
@@ -23,9 +26,10 @@ struct Board {
     what: &'static [&'static str],
 }
 
-const BOARDS: [Board; 4] = [
+const BOARDS: [Board; 5] = [
     Board { feature: "scum3c", target: setup::CORTEX_M0, what: &["--lib", "--bins"] },
     Board { feature: "nrf52840", target: setup::CORTEX_M4F, what: &["--lib", "--bin", "nrf52840"] },
+    Board { feature: "microbit", target: setup::CORTEX_M0, what: &["--lib", "--bin", "microbit"] },
     Board { feature: "bench", target: setup::CORTEX_M0, what: &["--bin", "bench"] },
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
@@ -41,12 +45,14 @@ pub(crate) fn ci() -> Result<()> {
         tally.check(&format!("lints for {}", board.feature), || lint(board));
     }
     tally.check("the same images from another folder", reproduce::reproduce);
+    tally.check("memory and stack of every board", || memory(&memory::Arguments::PLAIN));
     if let Err(error) = setup::broker() {
         println!("{error:#}; the tests that need a broker are skipped");
     }
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("what the texts claim", || claims(&claims::Arguments::AFTER_BENCH));
+    tally.check("the same fixes on two boards", || fly::run(&fly::Arguments::both_boards()));
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
     tally.check("calibration beside OpenCV, 20 rooms", || oracle::oracle(20));
     tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));

@@ -58,7 +58,7 @@ pub(crate) fn build(name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
     build_for(setup::CORTEX_M0, name, calib, mote)
 }
 
-/// The same for any core.
+/// The same for a processor of another kind.
 pub(crate) fn build_for(target: &str, name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
     setup::target(target)?;
     let arguments = ["build", "--release", "--bin", name, "--features", name, "--target", target];

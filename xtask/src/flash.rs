@@ -230,8 +230,9 @@ fn again(arguments: &Arguments) -> String {
 fn size(board: Board, elf: &[u8], calib: &Path) -> Result<String> {
     let program = elf::read(elf)?;
     let code: usize = program.segments.iter().map(|segment| segment.bytes.len()).sum();
-    // cortex-m-rt: the first byte behind all variables.
-    let data = program.symbols.address("__sheap").map(|end| end.saturating_sub(sim::memory::DATA_START));
+    // From the stack's top (memory.x) to the first byte behind all variables (cortex-m-rt).
+    let top = program.symbols.address("_stack_start").unwrap_or(sim::memory::DATA_START);
+    let data = program.symbols.address("__sheap").map(|end| end.saturating_sub(top));
     let of = match board {
         Board::Scum3c => image::LENGTH_AT,
         Board::Nrf52840 => 1024 * 1024,

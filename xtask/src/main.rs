@@ -18,6 +18,7 @@ mod claims;
 mod deny;
 mod firmware;
 mod fuzz;
+mod memory;
 mod oracle;
 mod process;
 mod qemu;
@@ -41,7 +42,8 @@ enum Verb {
     /// it finds itself
     ///
     /// Prints what the mote reports while it runs and a table at the end, and writes target/run: fixes.csv,
-    /// frames.pcap (for Wireshark), trajectory.svg (look at it), summary.json.
+    /// frames.pcap (for Wireshark), trajectory.svg (look at it), summary.json. With --board microbit the same light then
+    /// goes to that board in QEMU, and a fix that differs in one bit is an error.
     Run(run::Arguments),
     /// Show what a room becomes on the mote: which solver it gets, and how exact that is
     Bake {
@@ -66,6 +68,11 @@ enum Verb {
     /// and has QEMU count the same instructions. Prints one table and writes target/bench/summary.json. What grew
     /// since tests/expected/bench.txt was written is an error.
     Bench(bench::Arguments),
+    /// Weigh every board's image: code, constants, variables, and the deepest that its stack can ever be
+    ///
+    /// The stack is bounded by reading the program: frames, calls, and the worst nesting of priorities. What may not fit
+    /// into its room, or grew since tests/expected/memory.txt was written, is an error.
+    Memory(memory::Arguments),
     /// Put the firmware into light that is not kind: occlusions, reflections, strobes, stuck lines, moved stations
     ///
     /// Runs the release firmware in the virtual mote through every named scene. Prints one table and writes
@@ -134,6 +141,7 @@ fn main() -> ExitCode {
         Verb::Calibrate(arguments) => xtask::calibrate::calibrate(&arguments).map(|()| 0),
         Verb::Pulses(arguments) => xtask::pulses::pulses(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
+        Verb::Memory(arguments) => memory::memory(&arguments).map(|()| 0),
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
         Verb::Listen(arguments) => firmware::listen(&arguments).map(|()| 0),
         Verb::Replay(arguments) => xtask::listen::replay(&arguments).map(|()| 0),

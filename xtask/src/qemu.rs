@@ -35,8 +35,33 @@ impl Drop for Machine {
     }
 }
 
+/// What the machine is connected to.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Wires<'a> {
+    /// Where what it says on its serial port goes.
+    pub(crate) serial: Option<&'a Path>,
+    /// A file that lies in its flash, and where.
+    pub(crate) flash: Option<(&'a Path, u32)>,
+}
+
+impl Wires<'_> {
+    fn arguments(&self) -> Vec<String> {
+        // A comma in QEMU's own options is written twice.
+        let name = |path: &Path| path.display().to_string().replace(',', ",,");
+        let serial = self.serial.map_or_else(|| "none".to_string(), |path| format!("file:{}", path.display()));
+        let flash = self.flash.map(|(path, at)| format!("loader,file={},addr={at:#x},force-raw=on", name(path)));
+        let device = flash.into_iter().flat_map(|flash| ["-device".to_string(), flash]);
+        ["-serial".to_string(), serial].into_iter().chain(device).collect()
+    }
+}
+
 /// Runs `elf`, prints its log and gives the code it exits with.
 pub(crate) fn qemu(elf: &Path, timeout: Duration) -> Result<u8> {
+    run(elf, &Wires::default(), timeout)
+}
+
+/// The same, connected to something.
+pub(crate) fn run(elf: &Path, wires: &Wires<'_>, timeout: Duration) -> Result<u8> {
     let image = fs::read(elf).with_context(|| format!("cannot read the program {}", elf.display()))?;
     let table = Table::parse(&image).with_context(|| format!("the log strings of {}", elf.display()))?;
     let locations = match &table {
@@ -45,7 +70,8 @@ pub(crate) fn qemu(elf: &Path, timeout: Duration) -> Result<u8> {
     };
     let mut machine = Machine(
         Command::new(PROGRAM)
-            .args(["-machine", MACHINE, "-nographic", "-monitor", "none", "-serial", "none"])
+            .args(["-machine", MACHINE, "-nographic", "-monitor", "none"])
+            .args(wires.arguments())
             .args(["-icount", "shift=6,sleep=off", "-semihosting-config", "enable=on,target=native", "-kernel"])
             .arg(elf)
             .stdin(Stdio::null())

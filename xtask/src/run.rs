@@ -4,6 +4,8 @@
 //! What can go wrong: everything that is asked for is read and checked before the first build; a mote that faults stops
 //! the run with the place in the code; `target/run` is replaced only by a complete run.
 
+mod microbit;
+
 use std::collections::VecDeque;
 use std::io::{IsTerminal, Write};
 use std::num::NonZeroU32;
@@ -29,10 +31,14 @@ use xtask::svg::Span;
 
 use crate::firmware;
 use crate::process::root;
+use microbit::Stamps;
 
 /// What the run may be told.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
+    /// Which mote: the virtual SCuM-3C, or beside it an emulated board whose fixes must be the same to the bit
+    #[arg(long, value_enum, default_value_t = Board::Scum3c)]
+    board: Board,
     /// Play the light of a recording instead of a simulated room: the folder with recording.toml and sweeps.csv
     #[arg(long, value_name = "DIR")]
     recording: Option<PathBuf>,
@@ -51,6 +57,30 @@ pub(crate) struct Arguments {
     /// Where the results go
     #[arg(long, value_name = "DIR", default_value = "target/run")]
     out: PathBuf,
+}
+
+/// What can be run on this computer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Board {
+    /// The virtual SCuM-3C
+    Scum3c,
+    /// And in QEMU a micro:bit, which is played what the SCuM-3C stamped
+    Microbit,
+}
+
+impl Arguments {
+    /// Both boards in the light of the default room, as a check.
+    pub(crate) fn both_boards() -> Self {
+        Self {
+            board: Board::Microbit,
+            recording: None,
+            calib: None,
+            seconds: 20.0,
+            seed: 1,
+            sensor: 0,
+            out: "target/run-microbit".into(),
+        }
+    }
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -98,10 +128,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let prepared = prepare(arguments)?;
     let plain = match &prepared.source {
         Source::World { .. } => None,
-        Source::Recording { .. } => Some(Session::new(PLAIN, prepared.clone(), arguments)?.play(false)?),
+        Source::Recording { .. } => Some(Session::new(PLAIN, prepared.clone(), arguments)?.play(false, None)?),
     };
     let mote = if plain.is_some() { EVERY_SWEEP } else { "" };
-    let mut run = Session::new(mote, prepared, arguments)?.play(true)?;
+    let calib = prepared.calib.clone();
+    let mut stamps = (arguments.board == Board::Microbit).then(Stamps::default);
+    let mut run = Session::new(mote, prepared, arguments)?.play(true, stamps.as_mut())?;
     if let Some(plain) = plain {
         run.others.insert(0, ("each fix as it is".to_string(), plain.score));
     }
@@ -111,6 +143,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     output::write(&out, &run)?;
     println!("\n{}", output::table(&run));
     println!("written to {}: fixes.csv frames.pcap trajectory.svg summary.json", arguments.out.display());
+    if let Some(stamps) = stamps {
+        let fixes = microbit::follow(&stamps, &run.frames, &calib, mote, run.seconds)?;
+        println!("microbit: {fixes} fixes, every one the same as the SCuM-3C's to the bit");
+    }
     Ok(())
 }
 
@@ -176,7 +212,9 @@ impl Session {
         let (mote_hz, length_s) = match &source {
             Source::World { world, .. } => {
                 let clock = &world.scene().clock;
-                (clock.nominal_hz * (1.0 + clock.error), arguments.seconds)
+                // Two boards are to hear the light out.
+                let tail_s = if arguments.board == Board::Microbit { TAIL_S } else { 0.0 };
+                (clock.nominal_hz * (1.0 + clock.error), arguments.seconds + tail_s)
             }
             Source::Recording { light, .. } => {
                 let last = light.edges.last().map_or(0, |edge| edge.0);
@@ -205,16 +243,20 @@ impl Session {
     }
 
     /// Plays all of the light; in silence unless `aloud`.
-    fn play(mut self, aloud: bool) -> Result<Run> {
+    fn play(mut self, aloud: bool, mut stamps: Option<&mut Stamps>) -> Result<Run> {
+        let look_s = if stamps.is_some() { microbit::LOOK_S } else { LOOK_S };
         let wall = Instant::now();
         let mut live = Live::new(self.length_s);
         let mut log = Log::new(&self.elf)?;
         let mut second = 0.0;
         while second < self.length_s {
-            second = (second + LOOK_S).min(self.length_s);
+            second = (second + look_s).min(self.length_s);
             let cycle = self.cycle(second);
             self.light_until(cycle)?;
-            self.mote.run_until(cycle)?;
+            match &mut stamps {
+                Some(stamps) => stamps.run_until(&mut self.mote, cycle)?,
+                None => self.mote.run_until(cycle)?,
+            }
             if self.started.cycles == 0 {
                 // Bring-up is no part of the load.
                 self.started = self.mote.load();

@@ -38,6 +38,11 @@ pub struct Crash {
 }
 
 impl Crash {
+    /// What health frames say of a start with this behind it, or after power-on: why, and where.
+    pub fn told(crash: Option<Self>) -> (Reset, u32) {
+        crash.map_or((Reset::PowerOn, 0), |crash| (crash.reset(), crash.at))
+    }
+
     /// As a health frame says it.
     pub const fn reset(&self) -> Reset {
         match self.kind {

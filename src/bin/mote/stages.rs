@@ -9,6 +9,7 @@ use core::sync::atomic::{AtomicU16, Ordering};
 
 use lighthouse_mote::chain::{Batch, Classifier, Config, Estimate, Seen, Sighting, Solver, Understood};
 use lighthouse_mote::frame::{self, Aligned, Header, Report, Reset};
+use lighthouse_mote::identity::Identity;
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::sweep::HalfTurn;
 use lighthouse_mote::time::{Span, Ticks};
@@ -24,7 +25,9 @@ pub trait Board {
     fn edges_lost() -> u16;
 
     /// Frames that the radio gave up so far, wrapping.
-    fn frames_lost() -> u16;
+    fn frames_lost() -> u16 {
+        0
+    }
 }
 
 /// Pulses from the capture, the oldest first.
@@ -84,6 +87,36 @@ pub type Tales = Queue<Told, TOLD>;
 pub const FRAMES: usize = 4;
 /// The memory for them, where a transmitter can read it: on a word.
 pub type Air = Queue<Aligned, FRAMES>;
+
+/// The memory between the tasks.
+pub struct Queues {
+    sightings: Sightings,
+    tales: Tales,
+    air: Air,
+}
+
+impl Queues {
+    /// Empty.
+    pub const fn new() -> Self {
+        Self { sightings: Queue::new(), tales: Queue::new(), air: Queue::new() }
+    }
+
+    /// Both stages, from `pulses` to the frames that are to be sent; `reset` goes into every health frame.
+    #[inline(always)]
+    pub fn wire<B: Board>(
+        &'static mut self,
+        pulses: B::Pulses,
+        identity: Identity,
+        reset: (Reset, u32),
+    ) -> (Classify<B>, Solve<B>, Reader<Aligned, FRAMES>) {
+        let (to_solve, sightings) = self.sightings.split();
+        let (to_tell, tales) = self.tales.split();
+        let (to_radio, frames) = self.air.split();
+        let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
+        let solve = Solve::new(sightings, tales, Frames::new(to_radio, header), reset);
+        (Classify::new(pulses, to_solve, to_tell), solve, frames)
+    }
+}
 
 /// Half turns in a second: two per turn of a 60 Hz rotor.
 const HALF_TURNS_PER_S: u32 = 120;
@@ -173,6 +206,19 @@ pub struct Done {
     pub passed_on: bool,
     /// This one has more to do.
     pub more: bool,
+}
+
+impl Done {
+    /// Wakes whose turn it is: the stage behind, this one again.
+    #[inline(always)]
+    pub fn wake(self, behind: impl FnOnce(), again: impl FnOnce()) {
+        if self.passed_on {
+            behind();
+        }
+        if self.more {
+            again();
+        }
+    }
 }
 
 /// The second stage.

@@ -1,5 +1,14 @@
 //! Why the chip started: the bits of RESETREAS in words, and what a health frame makes of them.
 //!
+//! | end | what is left of it | what the next health frames say |
+//! |---|---|---|
+//! | panic | the breadcrumb | `Panic`, the line |
+//! | HardFault | the breadcrumb | `Fault`, the program counter |
+//! | a fault within a fault, a stack that ran over | RESETREAS: lock-up resets the chip (PS 5.3) | `Fault`, 0 |
+//! | hang | RESETREAS: watchdog | `Watchdog`, 0 |
+//!
+//! What can go wrong: no reset clears RAM (PS 5.3), but one by power dip or watchdog may leave it damaged.
+//!
 //! Bits add up until they are cleared, and bring-up clears them, so there is one cause at a time; but where the reset
 //! pin's bit is set, others may be set for no reason (erratum 136), so it counts alone.
 

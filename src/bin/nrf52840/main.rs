@@ -24,6 +24,7 @@ mod capture;
 mod cause;
 mod clock;
 mod csma;
+#[path = "../mote/fault.rs"]
 mod fault;
 #[path = "../mote/mod.rs"]
 mod mote;
@@ -37,7 +38,7 @@ mod watchdog;
 
 // The log's way out.
 use defmt_rtt as _;
-use lighthouse_mote::identity::{self, Block, Identity};
+use lighthouse_mote::identity::{self, Block};
 
 /// This board, as the stages know it.
 struct Nrf52840;
@@ -54,29 +55,20 @@ impl mote::stages::Board for Nrf52840 {
     }
 }
 
-/// The room, as baked by build.rs.
-mod calib {
-    include!(concat!(env!("OUT_DIR"), "/calib.rs"));
-}
-
 /// Who this mote is; a programmer overwrites it.
 #[used]
-static IDENTITY: Block = {
-    let baked = Identity { mote: calib::MOTE, pan: calib::PAN, channel: 0 };
-    Block::new(baked, identity::READS_ADDRESS | identity::READS_CHANNEL)
-};
+static IDENTITY: Block = mote::room::identity(identity::READS_ADDRESS | identity::READS_CHANNEL);
 
 #[rtic::app(device = nrf_pac, peripherals = false)]
 mod app {
-    use lighthouse_mote::frame::Header;
     use nrf_pac::Interrupt;
 
     use crate::board::CHANNEL;
-    use crate::calib::CONFIG;
     use crate::capture::{self, Capture, Pulses};
     use crate::cause::Boot;
     use crate::clock::{self, Alarm, SECOND};
-    use crate::mote::stages::{Air, Classify, Frames, Sightings, Solve, Tales};
+    use crate::mote::room::CONFIG;
+    use crate::mote::stages::{Classify, Queues, Solve};
     use crate::psdu::{Channel, Psdu};
     use crate::radio::Radio;
     use crate::watchdog::{self, Stage, Watchdog};
@@ -100,14 +92,12 @@ mod app {
 
     #[init(local = [
         pulses: Pulses = Pulses::new(),
-        sightings: Sightings = Sightings::new(),
-        tales: Tales = Tales::new(),
-        frames: Air = Air::new(),
+        queues: Queues = Queues::new(),
         psdu: Psdu = Psdu::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let watchdog = watchdog::start();
-        let boot = fault::boot(bring_up::cause());
+        let boot = Boot::of(bring_up::cause(), &fault::CRUMB);
         bring_up::debugger();
         bring_up::crystal();
         clock::start();
@@ -117,16 +107,9 @@ mod app {
         defmt::info!("lighthouse mote {=u16:#06x}, started by {}", identity.mote, boot);
 
         let (capture, pulses) = capture::split(cx.local.pulses);
-        let (to_solve, sightings) = cx.local.sightings.split();
-        let (to_tell, tales) = cx.local.tales.split();
-        let (to_radio, frames) = cx.local.frames.split();
-        let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
-        let solve = Solve::new(sightings, tales, Frames::new(to_radio, header), boot.reset());
+        let (classify, solve, frames) = cx.local.queues.wire(pulses, identity, boot.reset());
         (
-            Shared {
-                classify: Classify::new(pulses, to_solve, to_tell),
-                radio: Radio::new(frames, cx.local.psdu, channel),
-            },
+            Shared { classify, radio: Radio::new(frames, cx.local.psdu, channel) },
             Local { capture, solve, watchdog, boot },
         )
     }
@@ -140,12 +123,8 @@ mod app {
     #[task(binds = EGU0_SWI0, priority = 3, shared = [classify])]
     fn classify(cx: classify::Context) {
         let done = cx.shared.classify.run(&CONFIG);
-        if done.passed_on {
-            rtic::pend(Interrupt::EGU2_SWI2);
-        }
-        if done.more {
-            rtic::pend(Interrupt::EGU0_SWI0);
-        } else {
+        done.wake(|| rtic::pend(Interrupt::EGU2_SWI2), || rtic::pend(Interrupt::EGU0_SWI0));
+        if !done.more {
             capture::caught_up();
         }
         watchdog::moved(Stage::Classify);
@@ -161,12 +140,7 @@ mod app {
     #[task(binds = EGU2_SWI2, priority = 1, local = [solve])]
     fn solve(cx: solve::Context) {
         let done = cx.local.solve.run(&CONFIG);
-        if done.passed_on {
-            rtic::pend(Interrupt::RADIO);
-        }
-        if done.more {
-            rtic::pend(Interrupt::EGU2_SWI2);
-        }
+        done.wake(|| rtic::pend(Interrupt::RADIO), || rtic::pend(Interrupt::EGU2_SWI2));
         watchdog::moved(Stage::Solve);
     }
 

@@ -160,7 +160,7 @@ fn watch(mote: &mut Mote, end: u64) -> Result<Profile> {
 }
 
 /// A mangled name as a path: the numbered parts of `_ZN5first6second17h0123456789abcdefE`.
-fn readable(name: &str) -> String {
+pub(crate) fn readable(name: &str) -> String {
     let name = name.split(".llvm").next().unwrap_or(name);
     // The crate's own number ends with the first underline after `_R`.
     let newer = name.strip_prefix("_R").and_then(|rest| rest.split_once('_')).map(|(_, rest)| rest);

@@ -15,6 +15,7 @@
 
 pub mod capture;
 pub mod judgement;
+pub mod lateness;
 pub mod live;
 mod motive;
 pub mod points;
@@ -40,7 +41,7 @@ use crate::calib::schema::{self, Calibration};
 use crate::light::{Light, LightConfig, quantile};
 use crate::recording::Recording;
 use crate::reference::{Method, Room as ReferenceRoom};
-use judgement::{Figures, Grade, RotorFigures, length};
+use judgement::{Figures, Grade, OUTSIDE, Outside, RotorFigures, length};
 use session::{Measured, Session, Source};
 use simulate::Simulated;
 use solve::{Attitude, Choice, Options, Rotor, Sighting, Solution, TruthSample};
@@ -145,6 +146,8 @@ struct Gathered {
     notes: Vec<String>,
     facts: Vec<(String, String)>,
     inputs: Vec<(String, String)>,
+    /// Where the stations stood, metres, as what was read says.
+    stood: Option<[Vector3<f64>; 2]>,
     /// Sweeps and truth of one log; the light is for scoring outside its window for fitting.
     recorded: Option<(Recording, Light)>,
     /// What the answer should be.
@@ -182,7 +185,7 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
         attitudes: gathered.attitudes.clone(),
         factory,
         late: gathered.recorded.is_some(),
-        before: earlier.as_ref().map(|room| room.stations.map(|station| Vector3::from(station.position))),
+        before: earlier.as_ref().map(stood).or(gathered.stood).filter(|_| !arguments.force),
         ..Options::default()
     };
     let mut progress = Progress::new(person.output, person.terminal);
@@ -193,7 +196,7 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
 
     let figures = figures(&solution, &gathered);
     let judgement = figures.judge();
-    let provenance = provenance(&gathered, &solution, &figures, &judgement.sentence)?;
+    let provenance = provenance(&gathered, &solution, &figures, &judgement.sentence);
     let path: Vec<[f64; 3]> = path(&solution, gathered.places);
     let mut mote = earlier.as_ref().map_or_else(|| Ok(room::usual_mote()), |_| room::mote_of(&arguments.output))?;
     if !gathered.places {
@@ -233,6 +236,10 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
     let kept = kept.map_or(String::new(), |kept| format!(" (the one before is {})", kept.display()));
     writeln!(out, "room: {name}{kept}\nnext: cargo xtask bake {name}; cargo xtask run --calib {name}")?;
     Ok(())
+}
+
+fn stood(room: &Calibration) -> [Vector3<f64>; 2] {
+    room.stations.map(|station| Vector3::from(station.position))
 }
 
 /// The root of the repository.
@@ -376,8 +383,11 @@ fn walk(arguments: &Arguments, from: &Path) -> Result<Gathered> {
             (own, Vec::new(), None, recorded)
         }
     };
+    // A recording's own stations, in another frame perhaps: good enough to notice that A and B changed places.
+    let stood = recorded.as_ref().and_then(|(recording, _)| Some(stood(&schema::open(&recording.stations).ok()?)));
     Ok(Gathered {
         title: format!("Calibration from {name}"),
+        stood,
         sightings: sweeps.sightings,
         truth,
         attitudes,
@@ -421,6 +431,7 @@ fn visit(arguments: &Arguments, file: &Path, person: &mut Person<'_>) -> Result<
     let what = if arguments.simulate { "a simulated session" } else { "a session" };
     Ok(Gathered {
         title: format!("Calibration from {what} at the places of {stem}"),
+        stood: None,
         sightings,
         truth,
         attitudes: Vec::new(),
@@ -459,8 +470,16 @@ fn figures(solution: &Solution, gathered: &Gathered) -> Figures {
     });
     let recorded = gathered.recorded.as_ref().filter(|(recording, _)| !recording.calibrate.is_empty());
     let outside = recorded.map(|(recording, light)| {
-        let score = Method::plain(ReferenceRoom { stations: solution.stations.clone() }).score(recording, light);
-        (score.mean3d_cm / 100.0, score.coverage())
+        let method = Method::plain(ReferenceRoom { stations: solution.stations.clone() });
+        let late_s = late_s(gathered, solution);
+        let score = method.score_midway(recording, light, late_s.unwrap_or(0.0));
+        let as_written = method.score_midway(recording, light, 0.0);
+        Outside {
+            mean_m: score.mean3d_cm / 100.0,
+            share: score.coverage(),
+            late_s,
+            as_written_m: as_written.mean3d_cm / 100.0,
+        }
     });
     let mut distances: Vec<f64> = solution
         .residuals
@@ -477,6 +496,11 @@ fn figures(solution: &Solution, gathered: &Gathered) -> Figures {
     }
 }
 
+/// By how much the truth is late, seconds, where it is on the mote's clock and that was fitted.
+fn late_s(gathered: &Gathered, solution: &Solution) -> Option<f64> {
+    (gathered.apart_s.is_none() && solution.offset_s != 0.0).then_some(solution.offset_s)
+}
+
 /// Where the kept sweeps were, in the order of time; each place once where they are places.
 fn path(solution: &Solution, places: bool) -> Vec<[f64; 3]> {
     let mut path: Vec<[f64; 3]> = solution.residuals.iter().filter(|r| r.kept).map(|r| r.position.into()).collect();
@@ -491,41 +515,43 @@ fn provenance(
     solution: &Solution,
     figures: &Figures,
     verdict: &str,
-) -> Result<Vec<(String, String)>> {
+) -> Vec<(String, toml::Value)> {
     let today = time::OffsetDateTime::now_utc().date();
     let date = format!("{:04}-{:02}-{:02}", today.year(), u8::from(today.month()), today.day());
-    let mut rows = vec![
-        ("what".to_string(), gathered.title.clone()),
-        ("date".to_string(), date),
-        ("tool".to_string(), format!("{TOOL}, version {}", env!("CARGO_PKG_VERSION"))),
-        ("verdict".to_string(), verdict.to_string()),
-    ];
+    let mut rows: Vec<(String, toml::Value)> = Vec::new();
+    let mut say = |key: &str, value: String| rows.push((key.to_string(), value.into()));
+    say("what", gathered.title.clone());
+    say("date", date);
+    say("tool", format!("{TOOL}, version {}", env!("CARGO_PKG_VERSION")));
+    say("verdict", verdict.to_string());
     for (index, (name, hash)) in gathered.inputs.iter().enumerate() {
-        rows.push((format!("input_{}", index + 1), format!("{name}, SHA-256 {hash}")));
+        say(&format!("input_{}", index + 1), format!("{name}, SHA-256 {hash}"));
     }
     for (name, rotor) in session::ROTORS.iter().zip(&figures.rotors) {
-        rows.push((
-            format!("residual_{}", name.replace(' ', "_")),
-            format!(
-                "{:.3} deg RMS over {} sweeps, {:.1} % of them turned away",
-                rotor.rms_deg,
-                rotor.paired,
-                100.0 * rotor.rejected
-            ),
-        ));
+        let words = format!(
+            "{:.3} deg RMS over {} sweeps, {:.1} % of them turned away",
+            rotor.rms_deg,
+            rotor.paired,
+            100.0 * rotor.rejected
+        );
+        say(&format!("residual_{}", name.replace(' ', "_")), words);
     }
-    rows.push(("held_out_mean_error".to_string(), length(figures.held_out_m)));
-    rows.push(("condition".to_string(), format!("{:.0}", figures.condition)));
+    say("held_out_mean_error", length(figures.held_out_m));
+    if let Some(outside) = &figures.outside {
+        say(&OUTSIDE.replace(' ', "_"), outside.words());
+    }
+    say("condition", format!("{:.0}", figures.condition));
     if gathered.apart_s.is_some() {
-        rows.push(("time_offset".to_string(), format!("truth's clock less the mote's {:.4} s", solution.offset_s)));
-    } else if solution.offset_s != 0.0 {
-        rows.push(("truth_late".to_string(), format!("{:.1} ms", 1000.0 * solution.offset_s)));
+        say("time_offset", format!("truth's clock less the mote's {:.4} s", solution.offset_s));
     }
     if let Some(arm) = solution.lever_arm {
         let [x, y, z] = arm.into();
-        rows.push(("lever_arm".to_string(), format!("({x:.4}, {y:.4}, {z:.4}) m on the tracked body")));
+        say("lever_arm", format!("({x:.4}, {y:.4}, {z:.4}) m on the tracked body"));
     }
-    Ok(rows)
+    if let Some(late_s) = late_s(gathered, solution) {
+        rows.push((lateness::KEY.to_string(), ((1e5 * late_s).round() / 100.0).into()));
+    }
+    rows
 }
 
 fn facts(gathered: &Gathered, solution: &Solution, figures: &Figures, room: &room::Room) -> Vec<(String, String)> {
@@ -537,8 +563,8 @@ fn facts(gathered: &Gathered, solution: &Solution, figures: &Figures, room: &roo
     facts.push(("median distance to a station".to_string(), length(figures.distance_m)));
     if gathered.apart_s.is_some() {
         facts.push(("truth's clock less the mote's".to_string(), format!("{:.4} s", solution.offset_s)));
-    } else if solution.offset_s != 0.0 {
-        facts.push(("how late the truth is".to_string(), format!("{:.1} ms", 1000.0 * solution.offset_s)));
+    } else if let Some(late_s) = late_s(gathered, solution) {
+        facts.push(("how late the truth is".to_string(), format!("{:.1} ms", 1000.0 * late_s)));
     }
     if let Some(arm) = solution.lever_arm {
         facts.push(("photodiode on the tracked body".to_string(), place(arm.into())));
@@ -581,10 +607,7 @@ fn table(figures: &Figures, facts: &[(String, String)]) -> String {
     }
     out.push('\n');
     let mut rows = vec![("mean error, held out".to_string(), length(figures.held_out_m))];
-    if let Some((error_m, share)) = figures.outside {
-        let words = format!("{}, for {:.1} % of its rows", length(error_m), 100.0 * share);
-        rows.push(("mean error outside the window".to_string(), words));
-    }
+    rows.extend(figures.outside.map(|outside| (OUTSIDE.to_string(), outside.words())));
     rows.push(("condition".to_string(), format!("{:.0}", figures.condition)));
     let rows: Vec<&(String, String)> = rows.iter().chain(facts).collect();
     let wide = rows.iter().map(|(key, _)| key.len()).max().unwrap_or(0);

@@ -48,7 +48,7 @@ enum Verb {
     /// Show what a room becomes on the mote: which solver it gets, and how exact that is
     Bake {
         /// The calibration
-        #[arg(default_value = "calib/default.toml")]
+        #[arg(default_value = "calib/default.toml", env = "LIGHTHOUSE_CALIB")]
         calib: PathBuf,
     },
     /// Measure a room: from a walk under motion capture, or from known places without any

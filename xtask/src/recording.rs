@@ -25,6 +25,8 @@ const KIND: &str = "sweeps";
 const ABOUT: &str = "recording.toml";
 /// File with a row per sweep.
 const SWEEPS: &str = "sweeps.csv";
+/// Both, which together are what was recorded and how it is divided.
+pub const FILES: [&str; 2] = [ABOUT, SWEEPS];
 /// The columns that `sweeps.csv` must have, in any order; others are ignored.
 const COLUMNS: [&str; 9] = [
     "timestamp_ticks",

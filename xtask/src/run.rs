@@ -15,11 +15,12 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use defmt_decoder::{DecodeError, StreamDecoder, Table};
 use lighthouse_mote::frame::{self, Header, Message, Report};
-use serde_json::json;
+use serde_json::{Value, json};
 use sim::mote::{Load, Mote};
 use sim::scum3c::SentFrame;
 use sim::world::{EventKind, Scene, World};
 use xtask::calib::Calibration;
+use xtask::calibrate::lateness::{self, Lateness};
 use xtask::light::{Light, LightConfig};
 use xtask::listen::simulate;
 use xtask::output::{self, Run};
@@ -99,6 +100,8 @@ const LOOK_S: f64 = 0.05;
 const EVERY_SWEEP: &str = "report_every_half_turns = 1";
 /// The mote without its tracker.
 const PLAIN: &str = "report_every_half_turns = 1\nestimate = \"fix\"";
+/// How a row of the table is called that holds fixes against the truth as the recording has it, where others do not.
+const AS_WRITTEN: &str = "truth as written";
 /// How often the line with its state is written anew where nobody watches, seconds of mote time.
 const LINE_S: f64 = 5.0;
 /// The same on a terminal, in wall time.
@@ -117,8 +120,19 @@ struct Prepared {
 /// Where the light comes from.
 #[derive(Clone)]
 enum Source {
-    World { world: Box<World>, sweeps: Vec<u64> },
-    Recording { recording: Box<Recording>, light: Box<Light>, next: usize, truth: Vec<Place> },
+    World {
+        world: Box<World>,
+        sweeps: Vec<u64>,
+    },
+    Recording {
+        recording: Box<Recording>,
+        light: Box<Light>,
+        next: usize,
+        /// Where the mote was, at the time when it was there.
+        truth: Vec<Place>,
+        /// How late the recording has that, seconds, as the room's calibration found; none where it did not.
+        late_s: Option<f64>,
+    },
 }
 
 /// Runs the firmware and writes down what came of it.
@@ -135,6 +149,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let mut stamps = (arguments.board == Board::Microbit).then(Stamps::default);
     let mut run = Session::new(mote, prepared, arguments)?.play(true, stamps.as_mut())?;
     if let Some(plain) = plain {
+        let written = plain.others.into_iter().find(|(name, _)| name == AS_WRITTEN);
+        let after = run.others.iter().position(|(name, _)| name == AS_WRITTEN).map(|at| at + 1);
+        if let Some(((name, score), after)) = written.zip(after) {
+            run.others.insert(after, (format!("each fix as it is, {name}"), score));
+        }
         run.others.insert(0, ("each fix as it is".to_string(), plain.score));
     }
     if let Some(folder) = out.parent() {
@@ -166,9 +185,27 @@ fn prepare(arguments: &Arguments) -> Result<Prepared> {
     let calibration = firmware::room(&calib)?;
     let light = Light::rebuild(&recording, &LightConfig::of(&recording))?;
     println!("{}", light.findings);
-    let truth = score::recorded_truth(&recording, &light);
+    let room = calib.display().to_string();
+    let late_s = match lateness::of(&room, &calibration, &recording)? {
+        Lateness::Found(late_s) => {
+            println!(
+                "the truth is {:.1} ms late, as {room} says, found within the calibrate window: it is taken so much later",
+                1000.0 * late_s
+            );
+            Some(late_s)
+        }
+        Lateness::OfAnother => {
+            println!("{room}: its {} is of another recording or window, and is not applied", lateness::KEY);
+            None
+        }
+        Lateness::None => None,
+    };
+    let mut truth = score::recorded_truth(&recording, &light);
+    for place in &mut truth {
+        place.0 -= late_s.unwrap_or(0.0);
+    }
     Ok(Prepared {
-        source: Source::Recording { recording: Box::new(recording), light: Box::new(light), next: 0, truth },
+        source: Source::Recording { recording: Box::new(recording), light: Box::new(light), next: 0, truth, late_s },
         calib,
         calibration,
     })
@@ -382,38 +419,21 @@ impl Session {
         let calibration = &self.calibration;
         let room = Room::of(calibration);
         let every_s = f64::from(calibration.mote.report_every_half_turns) * HALF_TURN_S;
-        let (score, others, title, truth, spans) = match &self.source {
+        let (held, truth, spans) = match &self.source {
             Source::World { world, sweeps } => (
-                Score::of_simulation(sweeps, &self.fixes, self.mote_hz, every_s, |cycle| world.truth(cycle)),
-                Vec::new(),
-                format!("Simulated room, {:.0} s by hand", self.length_s),
+                Held {
+                    title: format!("Simulated room, {:.0} s by hand", self.length_s),
+                    score: Score::of_simulation(sweeps, &self.fixes, self.mote_hz, every_s, |cycle| world.truth(cycle)),
+                    others: Vec::new(),
+                    more: Vec::new(),
+                },
                 self.truth,
                 Vec::new(),
             ),
-            Source::Recording { recording, light, truth, .. } => {
-                let mut others = Vec::new();
-                if let Some(late_s) = score::lateness(recording, light, &self.fixes) {
-                    let late = Score::of_late_truth(recording, light, &self.fixes, late_s);
-                    others.push((format!("truth {:.1} ms late", 1000.0 * late_s), late));
-                }
-                others.push(("plain DLT in f64".to_string(), Method::plain(room.clone()).score(recording, light)));
-                let authors = recording.dir.join("authors_poses.toml");
-                if authors.exists() {
-                    others.push((
-                        "the paper's method".to_string(),
-                        Method::paper(Room::open(&authors)?).score(recording, light),
-                    ));
-                }
+            Source::Recording { recording, light, truth, late_s, .. } => {
                 let spans = light.calibrated(recording).map(|seconds| Span { seconds, label: "calibrate".to_string() });
-                let name =
-                    recording.dir.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-                (
-                    Score::of_recording(recording, light, &self.fixes),
-                    others,
-                    format!("Recording {name}"),
-                    truth.clone(),
-                    spans.into_iter().collect(),
-                )
+                let held = Held::against(recording, light, &self.fixes, &room, *late_s)?;
+                (held, truth.clone(), spans.into_iter().collect())
             }
         };
         let lost = self.missing
@@ -421,15 +441,15 @@ impl Session {
             + [self.losses.edges, self.losses.reports].iter().map(|count| u64::from(*count)).sum::<u64>();
         let instructions = (stopped.instructions - self.started.instructions) as f64 / self.length_s;
         Ok(Run {
-            title,
-            score,
-            others,
+            title: held.title,
+            score: held.score,
+            others: held.others,
             stations: room.marks(),
             spans,
             seconds: self.length_s,
             cpu_percent: stopped.percent_since(&self.started),
             lost,
-            more: vec![
+            more: [
                 ("mote_clock_hz".to_string(), json!(self.mote_hz.round())),
                 ("instructions_per_second".to_string(), json!(instructions.round())),
                 ("edges_lost".to_string(), json!(self.losses.edges)),
@@ -440,10 +460,60 @@ impl Session {
                 ("frames_garbled".to_string(), json!(self.garbled)),
                 ("room".to_string(), json!(self.calib.display().to_string())),
                 ("times_real_time".to_string(), json!((self.length_s / wall.as_secs_f64()).round())),
-            ],
+            ]
+            .into_iter()
+            .chain(held.more)
+            .collect(),
             fixes: self.fixes,
             frames: self.frames,
             truth,
+        })
+    }
+}
+
+/// What came of holding a mote's fixes against the truth.
+struct Held {
+    title: String,
+    score: Score,
+    others: Vec<(String, Score)>,
+    more: Vec<(String, Value)>,
+}
+
+impl Held {
+    /// Against that of a recording. Where its truth is known to be late, first against the truth of so much later, then
+    /// against the truth as written.
+    fn against(
+        recording: &Recording,
+        light: &Light,
+        fixes: &[FixRow],
+        room: &Room,
+        late_s: Option<f64>,
+    ) -> Result<Self> {
+        let mut methods = vec![("plain DLT in f64", Method::plain(room.clone()))];
+        let authors = recording.dir.join("authors_poses.toml");
+        if authors.exists() {
+            methods.push(("the paper's method", Method::paper(Room::open(&authors)?)));
+        }
+        let name = recording.dir.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let title = format!("Recording {name}");
+        let written = Score::of_recording(recording, light, fixes);
+        let of_methods = methods.iter().map(|(name, method)| (*name, method.score(recording, light)));
+        let Some(late_s) = late_s else {
+            let others = of_methods.map(|(name, score)| (name.to_string(), score)).collect();
+            return Ok(Self { title, score: written, others, more: Vec::new() });
+        };
+        let late = methods.iter().map(|(name, method)| (name.to_string(), method.score_late(recording, light, late_s)));
+        let as_written = of_methods.map(|(name, score)| (format!("{name}, {AS_WRITTEN}"), score));
+        let others = late.chain([(AS_WRITTEN.to_string(), written)]).chain(as_written).collect();
+        let tenths = |late_s: f64| json!((1e4 * late_s).round() / 10.0);
+        let mut more = vec![("truth_late_ms".to_string(), tenths(late_s))];
+        let by_scored_rows = Method::plain(room.clone()).lateness(recording, light);
+        more.extend(by_scored_rows.map(|late_s| ("truth_late_ms_by_scored_rows".to_string(), tenths(late_s))));
+        Ok(Self {
+            title: format!("{title}, its truth taken {:.1} ms later", 1000.0 * late_s),
+            score: Score::of_late_truth(recording, light, fixes, late_s),
+            others,
+            more,
         })
     }
 }

@@ -7,7 +7,8 @@
 //! rewarded for it.
 //!
 //! Motion capture takes a while, and a log holds what had come by then: the truth of a row may be where the mote was some
-//! milliseconds before. [`lateness`] finds that inside the window for fitting, and only there.
+//! milliseconds before. `calibrate` finds that inside the window for fitting, and only there; then fixes are held against
+//! the truth of so much later, and against the truth as written besides.
 //!
 //! # What can go wrong
 //! A mote that keeps silent where it is unsure gets small errors and small coverage: the two are
@@ -24,14 +25,6 @@ pub const WINDOW_S: f64 = 0.005;
 const SAME_CYCLES: u64 = 8;
 /// Truth is joined by a line over no longer than this, seconds.
 const JOIN_S: f64 = 0.1;
-/// A truth is no later than this, seconds: motion capture, network and radio take 10 to 30 ms.
-const LATEST_S: f64 = 0.05;
-/// How finely that is looked for, seconds: 0.3 mm at 0.6 m/s.
-const LATE_STEP_S: f64 = 0.0005;
-/// Farther off than this all errors are alike, metres.
-const WILD_M: f64 = 0.05;
-/// A truth is late when that leaves less than this part of the mean error.
-const LATE_SHARE: f64 = 0.7;
 
 /// One fix as the mote reported it.
 #[derive(Clone, Debug, PartialEq)]
@@ -179,25 +172,6 @@ pub type Place = (f64, [f64; 3]);
 pub fn recorded_truth(recording: &Recording, light: &Light) -> Vec<Place> {
     let rows = recording.rows.iter().zip(&light.rows).filter(|(row, _)| row.truth_ok);
     rows.map(|(row, played)| (light.seconds(played.cycle), row.truth)).collect()
-}
-
-/// How late the truth is, seconds, by the fixes inside the window for fitting; none where it is not.
-pub fn lateness(recording: &Recording, light: &Light, fixes: &[FixRow]) -> Option<f64> {
-    let places = recorded_truth(recording, light);
-    let [from, to] = light.calibrated(recording)?;
-    let within: Vec<&FixRow> = fixes.iter().filter(|fix| (from..=to).contains(&fix.seconds)).collect();
-    let error = |late_s: f64| {
-        let there = within.iter().filter_map(|fix| {
-            let away = length(difference(fix.position, place_at(&places, fix.seconds + late_s)?));
-            Some(away.min(WILD_M))
-        });
-        let (sum, count) = there.fold((0.0, 0), |(sum, count), away| (sum + away, count + 1));
-        sum / f64::from(count)
-    };
-    let steps = (LATEST_S / LATE_STEP_S).round() as i32;
-    let tried = (-steps..=steps).map(|step| f64::from(step) * LATE_STEP_S);
-    let best = tried.min_by(|a, b| error(*a).total_cmp(&error(*b)))?;
-    (error(best) < LATE_SHARE * error(0.0)).then_some(best)
 }
 
 /// Gives each fix the truth of its time, on a line between the places before and after; none where

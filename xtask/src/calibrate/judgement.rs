@@ -31,10 +31,42 @@ pub struct Figures {
     pub condition: f64,
     /// Mean 3-D error on parts that were held out of the fit, metres.
     pub held_out_m: f64,
-    /// Mean 3-D error outside the recording's window for fitting, metres, and the part of its rows with a place.
-    pub outside: Option<(f64, f64)>,
+    /// On the recording outside its window for fitting.
+    pub outside: Option<Outside>,
     /// Median distance from the stations to the path, metres.
     pub distance_m: f64,
+}
+
+/// Places from four angles each outside the window for fitting, held against where the mote was midway through them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Outside {
+    /// Mean 3-D error, metres.
+    pub mean_m: f64,
+    /// Part of the rows with a place.
+    pub share: f64,
+    /// By how much the truth was taken later, as found within the window, seconds.
+    pub late_s: Option<f64>,
+    /// Mean 3-D error where it is not, metres.
+    pub as_written_m: f64,
+}
+
+/// What those are called.
+pub const OUTSIDE: &str = "mean error outside the fitted window";
+
+impl Outside {
+    /// The figures for people.
+    pub fn words(&self) -> String {
+        let share = format!("reflections and all, for {:.1} % of its rows", 100.0 * self.share);
+        match self.late_s {
+            None => format!("{}, {share}", length(self.mean_m)),
+            Some(late_s) => format!(
+                "{}, {share}, with the truth taken {:.1} ms later; {} with the truth as written",
+                length(self.mean_m),
+                1000.0 * late_s,
+                length(self.as_written_m)
+            ),
+        }
+    }
 }
 
 /// How much to rely on it.
@@ -97,11 +129,11 @@ impl Figures {
             ERROR,
             format!("on light held out of the fit the mean error is {}", length(self.held_out_m)),
         );
-        if let Some((error_m, _)) = self.outside {
+        if let Some(Outside { mean_m, .. }) = self.outside {
             weigh(
-                error_m / scale,
+                mean_m / scale,
                 ERROR,
-                format!("on the recording outside the fitted window the mean error is {}", length(error_m)),
+                format!("on the recording outside the fitted window the mean error is {}", length(mean_m)),
             );
         }
         for (name, rotor) in ROTORS.iter().zip(&self.rotors) {
@@ -134,8 +166,8 @@ impl Figures {
         let worst = self.rotors.iter().map(|rotor| rotor.rms_deg).fold(0.0, f64::max);
         let rejected = self.rejected();
         let outside = match self.outside {
-            Some((error_m, share)) => {
-                format!(" ({} outside the fitted window, for {:.0} % of its rows)", length(error_m), 100.0 * share)
+            Some(Outside { mean_m, share, .. }) => {
+                format!(" ({} outside the fitted window, for {:.0} % of its rows)", length(mean_m), 100.0 * share)
             }
             None => String::new(),
         };
@@ -203,7 +235,7 @@ mod tests {
         for spoil in [
             |f: &mut Figures| f.held_out_m = f64::NAN,
             |f: &mut Figures| f.condition = f64::INFINITY,
-            |f: &mut Figures| f.outside = Some((f64::NAN, 0.0)),
+            |f: &mut Figures| f.outside = Some(Outside { mean_m: f64::NAN, ..Outside::default() }),
             |f: &mut Figures| f.rotors[1].paired = 0,
             |f: &mut Figures| f.rotors[1].rms_deg = f64::NAN,
         ] {

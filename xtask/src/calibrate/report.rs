@@ -15,7 +15,7 @@ use std::fmt::Write as _;
 use nalgebra::Vector3;
 use serde_json::json;
 
-use super::judgement::{Figures, Grade, Judgement, length};
+use super::judgement::{Figures, Grade, Judgement, OUTSIDE, length};
 use super::room::Room;
 use super::session::ROTORS;
 use super::solve::{Residual, Station};
@@ -42,7 +42,7 @@ pub struct Report<'a> {
     /// Other numbers: name and value.
     pub facts: &'a [(String, String)],
     /// Where it comes from.
-    pub provenance: &'a [(String, String)],
+    pub provenance: &'a [(String, toml::Value)],
     /// The room file and what it bakes to.
     pub room: &'a Room,
 }
@@ -83,8 +83,11 @@ pub fn html(report: &Report) -> String {
     section(
         &mut page,
         "Residuals",
-        "Measured less predicted angle of every sweep that has a truth: over time, and how often. Kept ones are blue; red \
-         ones were turned away, and sit on the border where they lie beyond it.",
+        &format!(
+            "Measured less predicted angle of every {}, and how often. Kept ones are blue; red ones were turned away, and \
+             sit on the border where they lie beyond it.",
+            if report.places { "average: at each place" } else { "sweep that has a truth: over time" }
+        ),
         &residuals::over_time(report),
     );
     section(
@@ -124,10 +127,12 @@ pub fn html(report: &Report) -> String {
         &precision::slices(report),
     );
     words(&mut page, "What was found out", report.evidence.iter().map(|sentence| (None, sentence.as_str())));
+    let shown = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_string);
+    let provenance: Vec<String> = report.provenance.iter().map(|(_, value)| shown(value)).collect();
     words(
         &mut page,
         "Where it comes from",
-        report.provenance.iter().map(|(key, value)| (Some(key.as_str()), value.as_str())),
+        report.provenance.iter().zip(&provenance).map(|((key, _), value)| (Some(key.as_str()), value.as_str())),
     );
     let _ = writeln!(page, "<h2>The room file</h2>\n<pre>{}</pre>\n</main></body></html>", escape(&report.room.text));
     page
@@ -147,9 +152,11 @@ fn words<'a>(page: &mut String, title: &str, rows: impl Iterator<Item = (Option<
 }
 
 fn numbers(page: &mut String, report: &Report) {
-    page.push_str(
-        "<table><tr><th>rotor</th><th>sweeps with a truth</th><th>turned away</th><th>RMS, degrees</th><th>median, \
-         degrees</th><th>RMS held out, degrees</th><th>phase, rad</th></tr>\n",
+    let counted = if report.places { "averages at places" } else { "sweeps with a truth" };
+    let _ = writeln!(
+        page,
+        "<table><tr><th>rotor</th><th>{counted}</th><th>turned away</th><th>RMS, degrees</th><th>median, degrees</th>\
+         <th>RMS held out, degrees</th><th>phase, rad</th></tr>"
     );
     for (index, (name, rotor)) in ROTORS.iter().zip(&report.figures.rotors).enumerate() {
         let phase = report.stations[index / 2].factory[index % 2].phase;
@@ -167,10 +174,7 @@ fn numbers(page: &mut String, report: &Report) {
     page.push_str("</table>\n<table class=\"words\">\n");
     let mut rows: Vec<(String, String)> =
         vec![("mean error on light held out of the fit".into(), length(report.figures.held_out_m))];
-    if let Some((error_m, share)) = report.figures.outside {
-        let words = format!("{}, for {:.1} % of its rows", length(error_m), 100.0 * share);
-        rows.push(("mean error outside the fitted window".into(), words));
-    }
+    rows.extend(report.figures.outside.map(|outside| (OUTSIDE.into(), outside.words())));
     rows.push(("condition number of the fit".into(), format!("{:.0}", report.figures.condition)));
     for (key, value) in rows.iter().chain(report.facts) {
         let _ = writeln!(page, "<tr><td>{}</td><td>{}</td></tr>", escape(key), escape(value));

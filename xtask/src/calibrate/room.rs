@@ -45,7 +45,7 @@ pub fn write(
     stations: &[Station; 2],
     path: &[[f64; 3]],
     mote: &toml::Table,
-    provenance: &[(String, String)],
+    provenance: &[(String, toml::Value)],
 ) -> Result<Room> {
     let (min, max) =
         extent(path).ok_or_else(|| anyhow!("{file}: no sweep was kept, so there is no room around them"))?;
@@ -134,14 +134,14 @@ fn text(
     stations: &[Station; 2],
     volume: Option<&RoomBox>,
     mote: &toml::Table,
-    provenance: &[(String, String)],
+    provenance: &[(String, toml::Value)],
 ) -> String {
     let mut out = String::from(
         "# A room as measured by `cargo xtask calibrate`; calibrate again to replace it. What stands under [mote] is kept.\n\
          #\n# c = R (p - position); tan(az) = c.x / c.z, tan(el) = c.y / c.z; metres and radians.\n\n[provenance]\n",
     );
     for (key, value) in provenance {
-        let _ = writeln!(out, "{key} = {}", toml::Value::String(value.clone()));
+        let _ = writeln!(out, "{key} = {value}");
     }
     let list = |values: [f64; 3], digits: usize| {
         let [x, y, z] = values.map(|value| decimal(value, digits));
@@ -207,7 +207,7 @@ mod tests {
     fn what_is_written_reads_back_as_it_was_and_takes_the_fast_form() {
         let before = default_room();
         let stations = reference::Room::of(&before).stations;
-        let notes = [("what".to_string(), "a \"quoted\" line\nand another".to_string())];
+        let notes = [("what".to_string(), "a \"quoted\" line\nand another".into())];
         let mut mote = usual_mote();
         mote.insert("id".to_string(), 23.into());
         mote.insert("estimate".to_string(), "fix".into());

@@ -58,7 +58,7 @@ const PER_MEDIAN: f64 = 1.4826;
 /// Robust averages that stand for one rotor at one place.
 const AVERAGES: usize = 8;
 /// Seconds from one place to the next on the clock that is made up for the solver.
-const PLACE_S: f64 = 10.0;
+pub const PLACE_S: f64 = 10.0;
 
 /// Position of a sighting's rotor in [`ROTORS`].
 fn rotor(sighting: &Sighting) -> usize {

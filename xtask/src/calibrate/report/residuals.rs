@@ -4,7 +4,7 @@
 
 use std::fmt::Write;
 
-use super::super::session::ROTORS;
+use super::super::session::{PLACE_S, ROTORS};
 use super::super::solve::Residual;
 use super::{Look, MOST, Report, looks, thin};
 use crate::light::quantile;
@@ -65,11 +65,10 @@ pub(super) fn over_time(report: &Report) -> String {
             let words = label(tick, y.digits(4.0));
             text(&mut svg, TIME.0 - 8.0, at + 4.0, &format!(r#"text-anchor="end" fill="{SOFT}""#), &words);
         }
-        for tick in time.ticks(9.0) {
+        for (tick, words) in ticks(report, &time) {
             let x = time.at(tick);
             line(&mut svg, (x, y0 + ROW.0), (x, y0 + ROW.0 + 4.0), &format!(r#"stroke="{SOFT}""#));
             if index == 3 {
-                let words = label(tick, time.digits(9.0));
                 text(&mut svg, x, y0 + ROW.0 + 18.0, &format!(r#"text-anchor="middle" fill="{SOFT}""#), &words);
             }
         }
@@ -94,10 +93,20 @@ pub(super) fn over_time(report: &Report) -> String {
         TIME.0 + TIME.1 / 2.0,
         bottom,
         middle,
-        if report.places { "place, ten seconds apart / s" } else { "mote time / s" },
+        if report.places { "places, in the order of the list" } else { "mote time / s" },
     );
-    text(&mut svg, HISTOGRAM.0 + HISTOGRAM.1 / 2.0, bottom, middle, "sweeps");
+    let counted = if report.places { "averages" } else { "sweeps" };
+    text(&mut svg, HISTOGRAM.0 + HISTOGRAM.1 / 2.0, bottom, middle, counted);
     svg + "</svg>"
+}
+
+/// Where the axis of time is marked, and how: places have numbers.
+fn ticks(report: &Report, time: &Scale) -> Vec<(f64, String)> {
+    if !report.places {
+        return time.ticks(9.0).into_iter().map(|tick| (tick, label(tick, time.digits(9.0)))).collect();
+    }
+    let places = (time.to / PLACE_S).max(0.0) as usize + 1;
+    (0..places).map(|place| (PLACE_S * place as f64, (place + 1).to_string())).collect()
 }
 
 fn histogram(svg: &mut String, mine: &[&Residual], y: &Scale, y0: f64) {

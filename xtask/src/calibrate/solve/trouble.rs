@@ -65,6 +65,13 @@ pub enum Trouble {
         /// Where was searched, seconds.
         searched: (f64, f64),
     },
+    /// Truth and light of one log are apart by more than any delay.
+    TooLate {
+        /// How late the truth would be, seconds.
+        late_s: f64,
+        /// As late it may be, seconds.
+        latest_s: f64,
+    },
     /// Places are so far apart that they cannot be metres.
     Units {
         /// Longest side of what holds nearly all places.
@@ -86,6 +93,11 @@ pub enum Trouble {
     },
     /// The places lie along one line.
     Collinear {
+        /// Standard deviations along the three directions of the cloud, longest first, metres.
+        extents_m: [f64; 3],
+    },
+    /// The places lie in one plane.
+    Coplanar {
         /// Standard deviations along the three directions of the cloud, longest first, metres.
         extents_m: [f64; 3],
     },
@@ -114,11 +126,11 @@ pub enum Trouble {
         /// Share of the sightings that are within a degree, of the station that has fewer.
         share: f64,
     },
-    /// A stands where the given room has B, and B where it has A.
+    /// A stands where B stood before, and B where A did.
     Swapped {
-        /// Mean distance from the given places, metres.
+        /// Mean distance from the places before, metres.
         distance_m: f64,
-        /// From the given places with A and B exchanged.
+        /// From the places before with A and B exchanged.
         exchanged_m: f64,
     },
 }
@@ -153,18 +165,23 @@ impl fmt::Display for Trouble {
             Trouble::AtRest { speed_m_per_s } => write!(
                 f,
                 "the clocks of truth and mote cannot be brought together because the mote hardly moved ({:.1} cm/s): \
-                 carry it about, or give the offset",
+                 carry it about, and check that the truth's units are metres",
                 100.0 * speed_m_per_s
             ),
-            Trouble::OffsetUnknown { sd_s } => write!(
-                f,
-                "the offset of the clocks is only known to {:.1} ms: move the mote faster, or give the offset",
-                1000.0 * sd_s
-            ),
+            Trouble::OffsetUnknown { sd_s } => {
+                write!(f, "the offset of the clocks is only known to {:.1} ms: move the mote faster", 1000.0 * sd_s)
+            }
             Trouble::OffsetAtEdge { offset_s, searched: (low, high) } => write!(
                 f,
                 "the best offset of the clocks, {offset_s:.2} s, is where the search from {low} to {high} s ended: \
-                 search further"
+                 search further with --offset"
+            ),
+            Trouble::TooLate { late_s, latest_s } => write!(
+                f,
+                "the truth that was recorded with the sweeps fits them best {:.0} ms later, which no motion capture \
+                 delays it by ({:.0} ms at most): if it has a clock of its own, give it as --truth",
+                1000.0 * late_s,
+                1000.0 * latest_s
             ),
             Trouble::Units { extent } => write!(
                 f,
@@ -189,6 +206,13 @@ impl fmt::Display for Trouble {
                  it: move the mote in all directions",
                 cm(extents_m)
             ),
+            Trouble::Coplanar { extents_m } => write!(
+                f,
+                "the mote's places lie in one plane, spread by {}: how the rotors err cannot be told from how the \
+                 stations stand, and above that plane the room would be wrong: carry the mote up and down as well as to \
+                 and fro",
+                cm(extents_m)
+            ),
             Trouble::Unsteady { station, sd_m, distance_m, extents_m } => write!(
                 f,
                 "where station {} is remains open by {:.0} cm at {distance_m:.1} m, for the mote's places spread by {} \
@@ -210,8 +234,9 @@ impl fmt::Display for Trouble {
             ),
             Trouble::Swapped { distance_m, exchanged_m } => write!(
                 f,
-                "the stations are exchanged: they are {distance_m:.2} m from where the given room has them, but \
-                 {exchanged_m:.2} m with A and B exchanged; their modes (A and b, or b and c) were swapped"
+                "the stations are exchanged: they come out {distance_m:.2} m from where they stood before, but \
+                 {exchanged_m:.2} m with A and B exchanged: their modes (b and c, or A and b) were swapped; set them as \
+                 before, or take them as they are with --force"
             ),
         }
     }

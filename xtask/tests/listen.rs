@@ -20,6 +20,7 @@ use lighthouse_mote::frame::{Header, Level, Report, emit};
 use player::{Player, line};
 use proptest::prelude::*;
 use serde_json::Value;
+use serialport::{SerialPortInfo, SerialPortType, UsbPortInfo};
 use xtask::calibrate::capture;
 use xtask::flash::hdlc;
 use xtask::listen::model::{self, Snapshot, SourceState};
@@ -148,6 +149,32 @@ fn an_nrf_sniffer_is_told_its_channel_and_heard_between_rubbish_and_after_it_was
     sniffer.noise(&said(&fix(7, 4)));
     let all = bench.until("heard again", |all| all.motes[0].frames == 3);
     assert_eq!((all.motes[0].sequence, all.motes[0].restarts, all.motes.len()), (4, 0, 1));
+}
+
+#[test]
+fn receivers_are_known_by_their_usb_numbers() {
+    let port = |name: &str, vid, pid, serial: &str| SerialPortInfo {
+        port_name: name.to_owned(),
+        port_type: SerialPortType::UsbPort(UsbPortInfo {
+            vid,
+            pid,
+            serial_number: Some(serial.to_owned()),
+            manufacturer: None,
+            product: None,
+        }),
+    };
+    let ports = [
+        port("/dev/ttyUSB1", 0x0403, 0x6010, "b"),
+        port("/dev/ttyUSB0", 0x0403, 0x6010, "b"),
+        port("/dev/ttyACM1", 0x1366, 0x1015, "kit"),
+        port("/dev/ttyACM0", 0x1366, 0x1015, "kit"),
+        port("/dev/ttyACM2", 0x2341, 0x0043, "somebody's"),
+        port("/dev/ttyACM3", 0x1915, 0x154B, "dongle"),
+        SerialPortInfo { port_name: "/dev/ttyS0".into(), port_type: SerialPortType::Unknown },
+    ];
+    let [nrf, openmote] = [Kind::Nrf, Kind::Openmote];
+    let known = [("/dev/ttyACM0", nrf), ("/dev/ttyACM3", nrf), ("/dev/ttyUSB0", openmote), ("/dev/ttyUSB1", openmote)];
+    assert_eq!(source::among(&ports), known.map(|(name, kind)| (name.to_owned(), kind)));
 }
 
 #[test]

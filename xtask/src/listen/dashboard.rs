@@ -158,21 +158,21 @@ const COLUMNS: [(&str, u16, u8); 13] = [
     ("x m", 7, 0),
     ("y m", 7, 0),
     ("z m", 7, 0),
-    ("m/s", 5, 4),
-    ("+-mm", 5, 3),
-    ("mism", 5, 5),
-    ("age", 5, 2),
+    ("m/s", 5, 5),
+    ("+-mm", 5, 4),
+    ("mism", 5, 6),
+    ("age", 5, 3),
     ("per s", 5, 2),
     ("lost", 6, 1),
-    ("MHz", 7, 6),
-    ("lock", 20, 3),
+    ("MHz", 7, 7),
+    ("lock", 20, 1),
 ];
 
 /// Which columns fit.
 fn columns(width: u16) -> Vec<usize> {
     let fit = |least: u8| (0..COLUMNS.len()).filter(|n| COLUMNS[*n].2 <= least).collect::<Vec<_>>();
     let wide = |columns: &Vec<usize>| columns.iter().map(|n| COLUMNS[*n].1 + 1).sum::<u16>() <= width + 1;
-    (0..=6).rev().map(fit).find(wide).unwrap_or_else(|| fit(0))
+    (0..=7).rev().map(fit).find(wide).unwrap_or_else(|| fit(0))
 }
 
 fn table(frame: &mut Frame<'_>, all: &Snapshot, first: usize, at: Rect) {
@@ -414,7 +414,7 @@ mod tests {
         // What does not fit goes as a whole column.
         assert!(!text.contains("MHz") && text.contains("locked") && text.contains("0.378"), "{text}");
         let text = shown(40, 80, 24);
-        assert!(text.contains("more below"), "{text}");
+        assert!(text.contains("more below") && text.contains("locked"), "{text}");
         // Nothing is too small.
         for size in [(1, 1), (10, 3), (30, 8)] {
             shown(2, size.0, size.1);

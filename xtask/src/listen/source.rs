@@ -15,6 +15,7 @@ use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use serialport::SerialPortInfo;
 
 use super::model::{self, Cause, Shared, Signal, SourceId, SourceState};
 use super::receiver::{Item, Kind};
@@ -95,9 +96,15 @@ fn which(vendor: u16, product: u16) -> Option<Kind> {
 /// # Errors
 /// The system does not tell its ports.
 pub fn receivers() -> Result<Vec<(String, Kind)>> {
-    let found = port::boards(&port::all()?, which);
+    Ok(among(&port::all()?))
+}
+
+/// The receivers among `ports`: of a kit's debugger the first port, of a serial converter each.
+#[must_use]
+pub fn among(ports: &[SerialPortInfo]) -> Vec<(String, Kind)> {
+    let found = port::boards(ports, which);
     let (nrf, others): (Vec<_>, Vec<_>) = found.into_iter().partition(|board| board.what == Kind::Nrf);
-    Ok(port::first_of_each(nrf).into_iter().chain(others).map(|board| (board.port, board.what)).collect())
+    port::first_of_each(nrf).into_iter().chain(others).map(|board| (board.port, board.what)).collect()
 }
 
 /// What a port that somebody named is, if its USB numbers tell; an nRF Sniffer otherwise.

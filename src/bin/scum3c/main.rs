@@ -20,6 +20,7 @@
 mod bring_up;
 mod capture;
 mod fault;
+mod memory;
 mod pac;
 mod queue;
 mod radio;

@@ -1,9 +1,12 @@
 //! What is left of a crash: a breadcrumb in memory that no start-up clears, and a reset.
 //!
-//! A mote in the field has nobody watching; it starts again and says at the next boot what happened.
+//! A mote in the field has nobody watching; it starts again, says at the next boot what happened, and repeats it in
+//! every health frame. The chip has no watchdog, so the core's own timer is one: it interrupts at the edges' priority,
+//! which nothing else has, and wants a frame to have been made since it last did.
 //!
 //! What can go wrong: the chip is RAM only, so a reset that also drops the code RAM leaves the mote silent until it is
-//! booted again; whether a core reset does is not documented. After power-on the breadcrumb is noise, which the magic
+//! booted again; whether a core reset does is not documented. An edge handler that hangs, or a clock that stops, hangs
+//! the watchdog too. After power-on the breadcrumb is noise, which the magic
 //! word tells apart.
 
 use core::panic::PanicInfo;
@@ -12,6 +15,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m_rt::{ExceptionFrame, exception};
 use lighthouse_mote::frame::Reset;
 
+use crate::pac::syst;
 use crate::uart_log;
 
 /// Says that the words beside it were written by [`reset`] and not by power-on.
@@ -26,6 +30,10 @@ pub enum Kind {
     HardFault = 2,
     /// The log was taken while it was taken.
     Log = 3,
+    /// No frame was made for [`PATIENCE`] turns of the core's timer.
+    Watchdog = 4,
+    /// An interrupt or exception that has no handler; `at` is its number.
+    Stray = 5,
 }
 
 /// What was left.
@@ -43,7 +51,8 @@ impl Crash {
     /// As a health frame says it.
     pub const fn reset(&self) -> Reset {
         match self.kind {
-            kind if kind == Kind::HardFault as u32 => Reset::Fault,
+            kind if kind == Kind::HardFault as u32 || kind == Kind::Stray as u32 => Reset::Fault,
+            kind if kind == Kind::Watchdog as u32 => Reset::Watchdog,
             _ => Reset::Panic,
         }
     }
@@ -76,12 +85,43 @@ pub fn last() -> Option<Crash> {
 }
 
 /// Leaves the breadcrumb and starts again.
+#[cold]
+#[inline(never)]
 pub fn reset(kind: Kind, at: u32) -> ! {
     CRUMB.count.store(CRUMB.count.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
     CRUMB.kind.store(kind as u32, Ordering::Relaxed);
     CRUMB.at.store(at, Ordering::Relaxed);
     CRUMB.magic.store(MAGIC, Ordering::Release);
     cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Turns of the core's timer without a frame: 5 s at 10 MHz, where a health frame is made every second, or, where
+/// nothing is understood of the light, after two.
+const PATIENCE: u32 = 3;
+
+/// Turns since the last frame.
+static SILENT: AtomicU32 = AtomicU32::new(0);
+
+/// Starts the watchdog.
+pub fn watch() {
+    syst::RVR.write(syst::LONGEST);
+    syst::CSR.write(syst::RUN);
+}
+
+/// A frame was made.
+#[inline(always)]
+pub fn alive() {
+    SILENT.store(0, Ordering::Relaxed);
+}
+
+/// The core's timer has come round.
+#[inline(always)]
+pub fn turn() {
+    let silent = SILENT.load(Ordering::Relaxed);
+    if silent >= PATIENCE {
+        reset(Kind::Watchdog, 0);
+    }
+    SILENT.store(silent + 1, Ordering::Relaxed);
 }
 
 #[panic_handler]
@@ -97,4 +137,10 @@ fn panic(info: &PanicInfo) -> ! {
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     reset(Kind::HardFault, frame.pc())
+}
+
+// SAFETY: as for the fault.
+#[exception]
+unsafe fn DefaultHandler(number: i16) {
+    reset(Kind::Stray, number as u32)
 }

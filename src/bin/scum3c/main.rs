@@ -51,11 +51,11 @@ mod app {
 
     use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
+    use crate::image::{self, Image};
     use crate::pac::Interrupt;
     use crate::radio::{Frames as Air, Radio};
     use crate::rf_timer::{self, Alarm, SECOND};
     use crate::stages::{Classify, Frames, Sightings, Solve, Tales};
-    use crate::image::{self, Image};
     use crate::{bring_up, fault, tuning, uart_log};
 
     #[shared]
@@ -99,7 +99,11 @@ mod app {
         };
         let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
         (
-            Shared { capture, classify: Classify::new(pulses, to_solve, to_tell), radio: Radio::new(frames, identity.channel) },
+            Shared {
+                capture,
+                classify: Classify::new(pulses, to_solve, to_tell),
+                radio: Radio::new(frames, identity.channel),
+            },
             Local { solve: Solve::new(sightings, tales, Frames::new(to_radio, header), reset) },
         )
     }

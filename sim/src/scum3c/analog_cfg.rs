@@ -14,7 +14,7 @@
 
 use super::oscillators::Oscillators;
 use super::rf_controller::Why;
-use super::scan_chain::{Chain, ScanChain, WORDS};
+use super::scan_chain::{ScanChain, WORDS};
 use std::num::NonZeroU32;
 
 /// Bytes from one register to the next (SCuM-3C test code, memory_map.h:18-21).

@@ -226,7 +226,7 @@ impl fmt::Display for Why {
             Self::WrongMixers { mixer } => write!(f, "ANALOG_CFG 16 is {mixer:#x}, not 0x6: the mixers are not off"),
             Self::NotModulated => write!(f, "ANALOG_CFG 11 has not selected the 802.15.4 modulation (0x80)"),
             Self::NotSettled { cycles } => {
-                write!(f, "{cycles} cycles after switching on; 50 us are needed")
+                write!(f, "a start {cycles} cycles after switching on; 50 us are needed")
             }
             Self::CutOff => write!(f, "the transmitter was switched off in the middle of a frame"),
             Self::Retuned => write!(f, "the LC tank was retuned in the middle of a frame"),

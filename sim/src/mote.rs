@@ -186,6 +186,13 @@ impl Mote {
         }
     }
 
+    /// From now on the core clock, which counts the cycles that light comes at, has this true rate: the other
+    /// oscillators, and what is on the air, do not drift with it.
+    pub fn set_hclk_hz(&mut self, hclk_hz: NonZeroU32) {
+        let now = self.machine.cycles();
+        self.machine.bus.set_hclk_hz(hclk_hz, now);
+    }
+
     /// The frames that left since the last call.
     pub fn take_frames(&mut self) -> impl Iterator<Item = SentFrame> + use<> {
         self.machine.bus.take_frames().into_iter()

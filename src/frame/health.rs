@@ -7,7 +7,7 @@
 //! | 21..25 | measured half turn, ticks, Q8: the rate of the clock is 120 times that; 0 while there is none |
 //! | 25 | [`Lock`] |
 //! | 26 | [`Reset`] |
-//! | 27..31 | detail of the reset: the program counter of a fault or a panic, else 0 |
+//! | 27..31 | detail of the reset: the program counter of a fault, the line of a panic, else 0 |
 //! | 31..35 | flashes understood of A, B |
 //! | 35..43 | sweeps understood of A azimuth, A elevation, B azimuth, B elevation |
 //! | 43..67 | [`Rejects`], in the order of its fields |
@@ -130,7 +130,7 @@ pub struct Health {
     pub lock: Lock,
     /// Why the mote last started.
     pub reset: Reset,
-    /// The program counter of a fault or a panic, else 0.
+    /// The program counter of a fault, the line of a panic, else 0.
     pub reset_detail: u32,
     /// Flashes understood of A and B, wrapping.
     pub syncs: [u16; 2],

@@ -231,6 +231,9 @@ impl Session {
             second = (second + LOOK_S).min(self.length_s);
             let cycle = self.cycle(second);
             self.light_until(cycle)?;
+            if let Source::World { world, .. } = &self.source {
+                self.mote.set_hclk_hz(world.clock_hz(second - LOOK_S / 2.0));
+            }
             self.mote.run_until(cycle)?;
             if self.started.cycles == 0 {
                 // Bring-up is no part of the load.

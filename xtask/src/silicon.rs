@@ -362,13 +362,17 @@ fn nothing_in_the_image_can_panic_and_what_a_panic_leaves_is_told() {
     let mote = Mote::boot_on(&elf, scum3c::Config::default()).expect("an image");
     let panics: Vec<&str> = mote.symbols.iter().map(|(name, _)| name).filter(|name| name.contains("panic")).collect();
     assert!(panics.is_empty(), "{panics:?}");
-    let at = mote.symbols.iter().find(|(name, _)| name.contains("5CRUMB")).expect("the breadcrumb").1.address;
+    // One variable, or, as the compiler likes, one for each of its words in their order.
+    let crumbs: Vec<u32> =
+        mote.symbols.iter().filter(|(name, _)| name.contains("5CRUMB")).map(|(_, symbol)| symbol.address).collect();
+    let place = |word: usize| crumbs.get(word).copied().unwrap_or(crumbs[0] + 4 * word as u32);
     for (kind, reset) in
         [(1, Reset::Panic), (2, Reset::Fault), (3, Reset::Panic), (4, Reset::Watchdog), (5, Reset::Fault)]
     {
         let mut mote = Mote::boot_on(&elf, scum3c::Config::default()).expect("an image");
-        let crumb = [0x4C69_6768_u32, 1, kind, 4711].map(u32::to_le_bytes).concat();
-        mote.machine.write_bytes(at, &crumb).expect("RAM that start-up leaves alone");
+        for (n, word) in [0x4C69_6768_u32, 1, kind, 4711].into_iter().enumerate() {
+            mote.machine.write_bytes(place(n), &word.to_le_bytes()).expect("RAM that start-up leaves alone");
+        }
         mote.run_until(15_000_000).expect("the firmware runs");
         let health = *healths(&mut mote).first().expect("a health frame");
         assert_eq!((health.reset, health.reset_detail), (reset, 4711));

@@ -28,7 +28,7 @@ pub enum Image {
     Damaged,
 }
 
-/// Checks it, bit by bit and word by word: 0.15 s at 10 MHz. To be called before anything writes to the code RAM.
+/// Checks it, bit by bit and word by word: 0.2 s at 10 MHz. To be called before anything writes to the code RAM.
 pub fn check() -> Image {
     let length = LENGTH.read();
     if length == 0 {

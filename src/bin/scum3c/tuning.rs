@@ -123,6 +123,8 @@ pub fn apply() {
 pub struct Lc {
     /// Coarse, mid and fine in one (`scm3c_hw_interface.c:1532-1566`).
     code: i32,
+    /// The same as registers 7 and 8 take it.
+    registers: [u32; 2],
     /// Counts of 50 ms to be reached.
     target: i32,
     /// How many more chances to count are let pass.
@@ -141,12 +143,22 @@ impl Lc {
             Some(above) => LC_CHANNEL_11 + (i32::from(above) * LC_CHANNEL_Q8 >> 8),
             None => LC_APPLICATION,
         };
-        Self { code: Self::FIRST, target, rest: 0 }
+        let mut lc = Self { code: Self::FIRST, registers: [0; 2], target, rest: 0 };
+        lc.encode();
+        lc
     }
 
-    /// Lets the code take effect: each part mirrored, the last bit of the mirrored fine part apart (:1471-1531).
-    #[inline(never)]
+    /// Lets the code take effect.
+    #[inline(always)]
     pub fn apply(&self) {
+        let [low, high] = self.registers;
+        analog::REG7.write(low);
+        analog::REG8.write(high);
+    }
+
+    /// Each part of the code mirrored, the last bit of the mirrored fine part apart (:1471-1531).
+    #[inline(never)]
+    fn encode(&mut self) {
         let (mut coarse, mut mid, mut fine) = (19, 0, self.code as u32);
         while fine >= 140 {
             fine = opaque(fine - 140);
@@ -160,8 +172,7 @@ impl Lc {
             fine += 1;
         }
         let fine = flip(fine);
-        analog::REG7.write((fine & 0xf) << 12 | flip(mid) << 6 | flip(coarse));
-        analog::REG8.write(fine >> 4);
+        self.registers = [(fine & 0xf) << 12 | flip(mid) << 6 | flip(coarse), fine >> 4];
     }
 
     /// Starts a count with oscillator and divider on, where there is a reason; how long it is to last.
@@ -184,18 +195,24 @@ impl Lc {
     #[inline(never)]
     pub fn tune(&mut self) {
         analog::REG0.write(analog::COUNTERS_STOP);
+        let window = WINDOW.load(Relaxed) as i32;
+        if window == 0 {
+            // The light went, or the clock was moved meanwhile.
+            return;
+        }
         let read = |low: u32, high: u32| (low | high << 16) as i32;
         let hf = read(analog::COUNT_HF.read(), analog::COUNT_HF_HIGH.read());
         let lc = read(analog::COUNT_LC.read(), analog::COUNT_LC_HIGH.read());
         let chips = read(analog::COUNT_2M.read(), analog::COUNT_2M_HIGH.read());
         // How much longer it lasted than it should have: handlers come when they can. Radio over 20 MHz is 1/8.0,
         // chip clock 1/10.
-        let late = hf - 2 * WINDOW.load(Relaxed) as i32;
+        let late = hf - 2 * window;
         let slow = self.target + (late >> 3) - lc;
         self.rest = Self::REST;
         if slow.abs() > LC_TOLERANCE {
             let steps = slow >> LC_STEP_BITS;
             self.code = (self.code + if steps == 0 { 1 } else { steps }).clamp(0, LC_LAST);
+            self.encode();
             self.rest = 0;
         }
         let fast = chips - CHIP_CLOCK - (late * 13 >> 7);

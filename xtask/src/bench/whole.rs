@@ -21,6 +21,8 @@ const RISE: u8 = 28;
 const FALL: u8 = 29;
 /// Bring-up, lock and the start of the track are over, seconds.
 const SETTLED_S: f64 = 2.0;
+/// How often the oscillator follows the world's clock, seconds.
+const FOLLOW_S: f64 = 0.1;
 /// A frame this close to a laser's stamp reports that laser, seconds.
 const SAME_S: f64 = 50e-6;
 
@@ -126,14 +128,16 @@ pub(super) fn run(elf: &[u8], run: &Run) -> Result<Whole> {
         .map(|event| event.cycle)
         .collect();
 
-    mote.run_until(settled)?;
+    follow(&mut mote, &world, 0.0, SETTLED_S)?;
     mote.machine.core.statistics.clear();
     drop(mote.take_frames());
     let before = mote.load();
     let powered_before = mote.machine.bus.powered().oscillator;
     let profile = if run.profile { watch(&mut mote, end)? } else { Profile::default() };
     let mut whole = Whole { profile, sweeps: lasers.len() as u64, ..Whole::default() };
-    mote.run_until(end)?;
+    if !run.profile {
+        follow(&mut mote, &world, SETTLED_S, end_s)?;
+    }
     let (mut delays, mut fixes) = (Vec::new(), 0_u32);
     for sent in mote.take_frames().collect::<Vec<_>>() {
         whole.frames += 1;
@@ -165,6 +169,17 @@ pub(super) fn run(elf: &[u8], run: &Run) -> Result<Whole> {
     whole.edge_latency = records.map(|record| record.worst_latency);
     whole.stack = stack_top - mote.machine.core.registers.lowest_main_sp();
     Ok(whole)
+}
+
+/// Runs from one true time to another, the oscillator's rate that of the world's clock in each step.
+fn follow(mote: &mut Mote, world: &World, from_s: f64, to_s: f64) -> Result<()> {
+    let mut now_s = from_s;
+    while now_s < to_s {
+        mote.set_hclk_hz(world.clock_hz(now_s + FOLLOW_S / 2.0));
+        now_s = (now_s + FOLLOW_S).min(to_s);
+        mote.run_until(world.cycle(now_s))?;
+    }
+    Ok(())
 }
 
 fn boot(elf: &[u8], run: &Run) -> Result<Mote> {

@@ -34,11 +34,11 @@ pub fn check() -> Image {
     if length == 0 {
         return Image::Unchecked;
     }
-    if length > LONGEST || length % 4 != 0 {
+    if length > LONGEST || !length.is_multiple_of(4) {
         return Image::Damaged;
     }
     // The program begins at 0, which the compiler takes for no address at all where it knows it.
-    let mut word = black_box(0 as *const u32);
+    let mut word = black_box(core::ptr::null::<u32>());
     let mut crc = !0_u32;
     for _ in 0..length / 4 {
         // SAFETY: the code RAM is readable from 0 up to `LONGEST`, and nobody writes it.

@@ -77,6 +77,7 @@ impl Radio {
     }
 
     /// The controller's interrupt, or a frame has come.
+    #[inline(never)]
     pub fn step(&mut self) {
         let done = rf::INT.read();
         rf::INT_CLEAR.write(done);

@@ -140,7 +140,7 @@ impl Lc {
     /// For `channel` 11 ..= 26, or the application's own frequency.
     pub fn new(channel: u8) -> Self {
         let target = match channel.checked_sub(11) {
-            Some(above) => LC_CHANNEL_11 + (i32::from(above) * LC_CHANNEL_Q8 >> 8),
+            Some(above) => LC_CHANNEL_11 + ((i32::from(above) * LC_CHANNEL_Q8) >> 8),
             None => LC_APPLICATION,
         };
         let mut lc = Self { code: Self::FIRST, registers: [0; 2], target, rest: 0 };
@@ -215,7 +215,7 @@ impl Lc {
             self.encode();
             self.rest = 0;
         }
-        let fast = chips - CHIP_CLOCK - (late * 13 >> 7);
+        let fast = chips - CHIP_CLOCK - ((late * 13) >> 7);
         for (code, limit) in CODES.iter().zip(CHIP_CLOCK_LIMITS) {
             if fast.abs() > limit {
                 // A higher code is a slower clock.

@@ -39,9 +39,9 @@ const LC_APPLICATION: i32 = 125_093;
 const LC_CHANNEL_11: i32 = 125_260;
 /// From one channel to the next, 5 MHz: 260.42 counts, in 1/256.
 const LC_CHANNEL_Q8: i32 = 66_667;
-/// 40 ppm of 2.4 GHz, less one count: what IEEE 802.15.4 allows (6.9.6).
+/// 40 ppm, what IEEE 802.15.4 allows at 2.4 GHz, less one count.
 const LC_TOLERANCE: i32 = 4;
-/// A code is 3 to 7 counts: an eighth of the distance never overshoots.
+/// An eighth of the distance never overshoots where a code is less than 8 counts, 150 kHz: assumed.
 const LC_STEP_BITS: u32 = 3;
 /// The last code whose coarse part has five bits.
 const LC_LAST: i32 = 1819;
@@ -80,15 +80,16 @@ pub fn flip(code: u32) -> u32 {
     flipped - 32
 }
 
-/// Moves a code by `steps` as far as it goes.
+/// Moves a code by `steps` as far as it goes; whether it did.
 #[inline(never)]
-fn shift(code: &AtomicU8, steps: i32) {
+fn shift(code: &AtomicU8, steps: i32) -> bool {
     let old = code.load(Relaxed);
     let new = (i32::from(old) + steps).clamp(0, LAST) as u8;
+    code.store(new, Relaxed);
     if new != old {
-        code.store(new, Relaxed);
         CHANGED.store(true, Relaxed);
     }
+    new != old
 }
 
 /// A second has passed with the rotors' half turn at `half_turn` ticks, if they were seen.
@@ -97,14 +98,15 @@ fn shift(code: &AtomicU8, steps: i32) {
 pub fn light(half_turn: Option<Span>) {
     let ticks = half_turn.map_or(0, |half_turn| half_turn.0);
     let error = ticks as i32 - HALF_TURN;
+    let mut window = ticks * COUNTED;
     if ticks != 0 && error.abs() > HF_TOLERANCE {
         // A higher code is a slower clock.
-        shift(&HF_FINE, (error + (1 << (HF_STEP_BITS - 1))) >> HF_STEP_BITS);
+        if shift(&HF_FINE, (error + (1 << (HF_STEP_BITS - 1))) >> HF_STEP_BITS) {
+            // What was measured is no longer so.
+            window = 0;
+        }
     }
-    let mut window = ticks * COUNTED;
     if CHANGED.load(Relaxed) {
-        // What was measured is no longer so.
-        window = 0;
         // `idle` has something to do.
         scb::SCR.write(0);
     }

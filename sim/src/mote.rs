@@ -60,6 +60,66 @@ impl Load {
     }
 }
 
+/// True time beside the clock of a mote that tunes it.
+#[derive(Debug, Clone, Copy)]
+pub struct Wall {
+    cycle: u64,
+    seconds: f64,
+    hclk_hz: NonZeroU32,
+    /// When the last edge came.
+    edge: u64,
+}
+
+/// How often the clock's rate is looked at, seconds: an edge may come late by this times the change.
+const LOOK_S: f64 = 1e-3;
+
+impl Wall {
+    /// Power-on.
+    #[must_use]
+    pub fn new(mote: &Mote) -> Self {
+        Self { cycle: mote.machine.cycles(), seconds: 0.0, hclk_hz: mote.machine.bus.hclk_hz(), edge: 0 }
+    }
+
+    /// True seconds since power-on.
+    #[must_use]
+    pub fn seconds(&self) -> f64 {
+        self.seconds
+    }
+
+    fn cycle_at(&self, seconds: f64) -> u64 {
+        self.cycle + ((seconds - self.seconds) * f64::from(self.hclk_hz.get())).round() as u64
+    }
+
+    /// Runs `mote` to `until_s` in light whose changes come at true seconds, one after the other.
+    ///
+    /// # Errors
+    /// The firmware stopped on the way; what was left of the light then is still there.
+    pub fn run(
+        &mut self,
+        mote: &mut Mote,
+        light: &mut std::iter::Peekable<impl Iterator<Item = (f64, bool)>>,
+        until_s: f64,
+    ) -> Result<(), Halted> {
+        while self.seconds < until_s {
+            let next_s = (self.seconds + LOOK_S).min(until_s);
+            while let Some((at_s, level)) = light.next_if(|&(at_s, _)| at_s < next_s) {
+                self.edge = self.cycle_at(at_s.max(self.seconds)).max(self.edge + 1);
+                let queued = mote.push_edge(self.edge, level);
+                debug_assert_eq!(queued, Ok(()), "edges come in order");
+            }
+            let end = self.cycle_at(next_s).max(self.cycle + 1);
+            let ran = mote.run_until(end);
+            let cycle = mote.machine.cycles();
+            // To the cycle where an instruction ended, by the rate that it began with.
+            self.seconds += (cycle - self.cycle) as f64 / f64::from(self.hclk_hz.get());
+            self.cycle = cycle;
+            self.hclk_hz = mote.machine.bus.hclk_hz();
+            ran?;
+        }
+        Ok(())
+    }
+}
+
 /// A chip with empty memory whose core runs at `hclk_hz`.
 fn chip(hclk_hz: NonZeroU32) -> Machine<Scum3c> {
     let devices = Scum3c::new(scum3c::Config { hclk_hz, ..scum3c::Config::default() });
@@ -73,6 +133,17 @@ impl Mote {
     /// The file is no image for this chip.
     pub fn boot(elf: &[u8], hclk_hz: NonZeroU32) -> Result<Self, LoadError> {
         let mut machine = chip(hclk_hz);
+        let symbols = machine.load_elf(elf)?;
+        Ok(Self { machine, symbols })
+    }
+
+    /// As [`Self::boot`], on any chip; faults are the firmware's own to handle.
+    ///
+    /// # Errors
+    /// The file is no image for this chip.
+    pub fn boot_on(elf: &[u8], chip: scum3c::Config) -> Result<Self, LoadError> {
+        let config = Config { clock_hz: chip.hclk_hz.get(), fault_is_fatal: false, ..Config::default() };
+        let mut machine = Machine::new(config, Scum3c::new(chip));
         let symbols = machine.load_elf(elf)?;
         Ok(Self { machine, symbols })
     }
@@ -113,6 +184,13 @@ impl Mote {
                 Err(Halted { stop, cycle: self.machine.cycles(), function })
             }
         }
+    }
+
+    /// From now on the core clock, which counts the cycles that light comes at, has this true rate: the other
+    /// oscillators, and what is on the air, do not drift with it.
+    pub fn set_hclk_hz(&mut self, hclk_hz: NonZeroU32) {
+        let now = self.machine.cycles();
+        self.machine.bus.set_hclk_hz(hclk_hz, now);
     }
 
     /// The frames that left since the last call.

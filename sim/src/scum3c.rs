@@ -16,29 +16,33 @@
 //! strobes to do it with; bytes and half-words fault.
 //!
 //! Not modelled, and therefore silent: interrupt lines other than 6, 7, 12 and 13 (the debounced GPIO3 line 1, the
-//! optical-calibration lines 2 and 11, and the ADC, UART, raw-chip and GPIO10 lines). The pads work whatever the scan
-//! chain says.
+//! optical-calibration lines 2 and 11, and the ADC, UART, raw-chip and GPIO10 lines). The optical receiver reaches pads 8
+//! and 9 whatever bank the scan chain chose, but no line where their inputs are not enabled.
 
 mod adc;
 mod analog_cfg;
 mod gpio;
+mod oscillators;
 mod rf_controller;
 mod rftimer;
+mod scan_chain;
 mod uart;
 
 use crate::bus::{Bus, BusFault, Dma, Size};
 use analog_cfg::AnalogCfg;
 use gpio::Gpio;
-use rf_controller::RfController;
+use rf_controller::{Readiness, RfController};
 use rftimer::RfTimer;
 use std::collections::VecDeque;
 use std::num::NonZeroU32;
 use uart::Uart;
 
-pub use analog_cfg::Clocks;
+pub use analog_cfg::{Clocks, Powered};
 pub use gpio::EdgeError;
+pub use oscillators::Oscillators;
 pub use rf_controller::{Refusal, SentFrame, Why};
 pub use rftimer::Ratio;
+pub use scan_chain::{NEEDED, Needed};
 
 /// Interrupt number of the radio controller (SCuM-3C test code, cm0dsasm.s:43-58, as all of these).
 pub const IRQ_RF: u32 = 6;
@@ -71,12 +75,14 @@ pub struct Config {
     pub ratio: Ratio,
     /// The other oscillators.
     pub clocks: Clocks,
+    /// Lets the oscillators answer their codes, in place of `clocks` and, from the first good scan chain on, `hclk_hz`.
+    pub oscillators: Option<Oscillators>,
 }
 
 impl Default for Config {
     /// The lighthouse set-up as intended: HCLK and RFTIMER at 10 MHz, all else on target.
     fn default() -> Self {
-        Self { hclk_hz: NOMINAL_HCLK_HZ, ratio: Ratio::ONE, clocks: Clocks::default() }
+        Self { hclk_hz: NOMINAL_HCLK_HZ, ratio: Ratio::ONE, clocks: Clocks::default(), oscillators: None }
     }
 }
 
@@ -105,7 +111,7 @@ impl Scum3c {
             rf: RfController::new(),
             rftimer: RfTimer::new(config.ratio),
             uart: Uart::default(),
-            analog: AnalogCfg::new(config.clocks, config.hclk_hz),
+            analog: AnalogCfg::new(config.clocks, config.hclk_hz, config.oscillators),
             gpio: Gpio::default(),
             rx_address: 0,
         }
@@ -115,6 +121,26 @@ impl Scum3c {
     pub fn set_hclk_hz(&mut self, hclk_hz: NonZeroU32, cycle: u64) {
         self.advance(cycle);
         self.analog.set_hclk_hz(hclk_hz, self.now);
+    }
+
+    /// The true rate of the core clock now, Hz.
+    pub fn hclk_hz(&self) -> NonZeroU32 {
+        self.analog.hclk_hz()
+    }
+
+    /// The true rate of the radio's oscillator now, powered or not, Hz.
+    pub fn lc_hz(&self) -> f64 {
+        self.analog.lc_hz()
+    }
+
+    /// The true rate of the 2 MHz oscillator now, Hz.
+    pub fn chip_clock_hz(&self) -> f64 {
+        self.analog.chip_clock_hz()
+    }
+
+    /// How long the radio was powered so far.
+    pub fn powered(&mut self) -> Powered {
+        self.analog.powered(self.now)
     }
 
     /// Lets the radio timer stand as if it had been started `ticks` earlier, alarms included, from `cycle` on.
@@ -181,13 +207,19 @@ impl Scum3c {
     }
 
     fn command_radio(&mut self, bits: u32) {
-        let ready = self.analog.ready_to_send(self.now);
+        let ready =
+            Readiness { send: self.analog.ready_to_send(self.now), receive: self.analog.ready_to_receive(self.now) };
         self.rf.command(bits, self.now, ready, self.analog.hclk_hz());
     }
 
     fn write_analog(&mut self, offset: u32, value: u32) -> Result<(), &'static str> {
-        let tuned = self.analog.lc_code();
+        let (tuned, loads) = (self.analog.lc_code(), self.analog.scan_loads());
         self.analog.write(offset, value, self.now)?;
+        if self.analog.scan_loads() != loads {
+            for &why in self.analog.scan_wrong() {
+                self.rf.refuse(self.now, why);
+            }
+        }
         if self.rf.is_sending() {
             if self.analog.transmitter().is_err() {
                 self.rf.cut(self.now, Why::CutOff);
@@ -252,10 +284,11 @@ impl Bus for Scum3c {
     }
 
     fn lines(&self) -> u32 {
+        let (reads_8, reads_9) = self.analog.pads_read();
         u32::from(self.rf.line()) << IRQ_RF
             | u32::from(self.rftimer.line()) << IRQ_RFTIMER
-            | u32::from(self.gpio.level()) << IRQ_GPIO8_HIGH
-            | u32::from(!self.gpio.level()) << IRQ_GPIO9_LOW
+            | u32::from(self.gpio.level() && reads_8) << IRQ_GPIO8_HIGH
+            | u32::from(!(self.gpio.level() && reads_9)) << IRQ_GPIO9_LOW
     }
 
     fn next_event(&self) -> u64 {
@@ -290,6 +323,7 @@ impl Bus for Scum3c {
 
 #[cfg(test)]
 mod tests {
+    use super::scan_chain::tests::{needed, writes};
     use super::*;
     use proptest::prelude::*;
 
@@ -302,6 +336,15 @@ mod tests {
 
     fn get(chip: &mut Scum3c, address: u32, cycle: u64) -> u32 {
         chip.read(address, Size::Word, cycle).unwrap()
+    }
+
+    /// A chip whose scan chain is loaded, at cycle 0.
+    fn chip() -> Scum3c {
+        let mut chip = Scum3c::new(Config::default());
+        for value in writes(&needed()) {
+            put(&mut chip, acfg(22), value.into(), 0);
+        }
+        chip
     }
 
     fn acfg(register: u32) -> u32 {
@@ -329,7 +372,7 @@ mod tests {
 
     #[test]
     fn the_dark_holds_line_13_and_the_light_line_12() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         assert_eq!(chip.lines(), DARK);
         chip.push_edge(100, true).unwrap();
         chip.push_edge(350, false).unwrap();
@@ -345,7 +388,7 @@ mod tests {
 
     #[test]
     fn an_edge_in_the_present_is_taken_and_one_in_the_past_is_not() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         chip.advance(1_000);
         assert_eq!(chip.push_edge(999, true), Err(EdgeError::InThePast { cycle: 999, now: 1_000 }));
         chip.push_edge(1_000, true).unwrap();
@@ -356,7 +399,7 @@ mod tests {
 
     #[test]
     fn a_packet_goes_from_ram_to_the_air() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         put(&mut chip, RF + 0x14, 0x7, 0);
         switch_transmitter_on(&mut chip, 100);
         ask_for_load(&mut chip, 20, 200);
@@ -377,7 +420,7 @@ mod tests {
 
     #[test]
     fn sending_with_the_transmitter_off_or_cold_is_refused() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         ask_for_load(&mut chip, 9, 0);
         answer(&mut chip);
         put(&mut chip, RF, 2, 1_000);
@@ -397,9 +440,52 @@ mod tests {
     }
 
     #[test]
+    fn every_scan_bit_that_is_wrong_is_refused_when_it_is_loaded_and_when_a_frame_is_to_be_sent() {
+        for &Needed { bit, value, what } in NEEDED {
+            let mut words = needed();
+            words[usize::from(bit) / 32] ^= 0x8000_0000 >> (bit % 32);
+            let mut chip = Scum3c::new(Config::default());
+            for value in writes(&words) {
+                put(&mut chip, acfg(22), value.into(), 7);
+            }
+            switch_transmitter_on(&mut chip, 100);
+            ask_for_load(&mut chip, 9, 200);
+            answer(&mut chip);
+            put(&mut chip, RF, 2, 1_000);
+            let said: Vec<String> = chip.refusals().iter().map(Refusal::to_string).collect();
+            let why =
+                format!("ANALOG_CFG 22 (0x52580000): bit {bit} of the scan chain is not {}: {what}", u8::from(value));
+            assert_eq!(said, [format!("cycle 7: {why}"), format!("cycle 1000: {why}")]);
+        }
+    }
+
+    #[test]
+    fn pads_that_are_not_read_see_no_light() {
+        let mut chip = Scum3c::new(Config::default());
+        chip.push_edge(100, true).unwrap();
+        chip.advance(100);
+        assert_eq!(chip.lines(), DARK);
+    }
+
+    #[test]
+    fn receiving_before_the_receiver_was_set_up_is_refused() {
+        let mut chip = Scum3c::new(Config::default());
+        put(&mut chip, RF, 4, 10);
+        assert_eq!(chip.refusals(), [Refusal { cycle: 10, why: Why::NotConfigured }]);
+        let mut chip = super::tests::chip();
+        put(&mut chip, RF, 4, 10);
+        put(&mut chip, acfg(10), 0x18, 20);
+        put(&mut chip, acfg(16), 0x1, 20);
+        put(&mut chip, RF, 4, 30);
+        put(&mut chip, RF, 4, 520);
+        let whys: Vec<Why> = chip.refusals().iter().map(|refusal| refusal.why).collect();
+        assert_eq!(whys, [Why::NoReceiver { ldo: 0 }, Why::NotSettled { cycles: 10 }]);
+    }
+
+    #[test]
     fn switching_off_or_retuning_in_mid_frame_loses_it() {
         for (register, value, why) in [(10, 0, Why::CutOff), (7, 0x1234, Why::Retuned)] {
-            let mut chip = Scum3c::new(Config::default());
+            let mut chip = chip();
             switch_transmitter_on(&mut chip, 0);
             ask_for_load(&mut chip, 9, 0);
             answer(&mut chip);
@@ -413,7 +499,7 @@ mod tests {
 
     #[test]
     fn the_timer_loads_and_sends_by_itself_and_captures_the_radio() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         switch_transmitter_on(&mut chip, 0);
         put(&mut chip, RF + 0x8, 0x2000_0040, 0);
         put(&mut chip, RF + 0xC, 11, 0);
@@ -441,7 +527,7 @@ mod tests {
 
     #[test]
     fn logs_come_out_of_the_uart() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         for byte in b"ok" {
             put(&mut chip, UART, u32::from(*byte), 0);
         }
@@ -451,7 +537,7 @@ mod tests {
 
     #[test]
     fn the_receive_address_and_the_output_pads_read_back() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         put(&mut chip, DMA_BASE + DMA_RX_ADDR, 0x2000_1000, 0);
         put(&mut chip, GPIO + 0x4_0000, 0x8001, 0);
         assert_eq!(get(&mut chip, DMA_BASE + DMA_RX_ADDR, 0), 0x2000_1000);
@@ -460,7 +546,7 @@ mod tests {
 
     #[test]
     fn addresses_nobody_owns_and_narrow_accesses_fault() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         for address in [0x4000_0028, 0x4100_0000, 0x4200_000C, ADC, 0x5100_0004, 0x5300_0004, 0x6000_0000, 0x4300_0000]
         {
             let fault = chip.read(address, Size::Word, 0).unwrap_err();
@@ -477,7 +563,7 @@ mod tests {
 
     #[test]
     fn time_that_runs_backwards_stands_still() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         put(&mut chip, RFTIMER, 0x5, 0);
         assert_eq!(get(&mut chip, RFTIMER + 4, 500), 500);
         assert_eq!(get(&mut chip, RFTIMER + 4, 400), 500);

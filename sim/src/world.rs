@@ -33,6 +33,7 @@ pub use scene::Scene;
 pub use slot::{Axis, StationId};
 
 use core::f64::consts::PI;
+use core::num::NonZeroU32;
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -222,6 +223,14 @@ impl World {
     #[must_use]
     pub fn cycle(&self, seconds: f64) -> u64 {
         self.oscillator.cycle(seconds)
+    }
+
+    /// The rate of the mote's clock in the tenth of a second around a true time, Hz; at least 1.
+    #[must_use]
+    pub fn clock_hz(&self, seconds: f64) -> NonZeroU32 {
+        let from_s = (seconds - 0.05).max(0.0);
+        let counted = self.cycle(from_s + 0.1) - self.cycle(from_s);
+        u32::try_from(10 * counted).ok().and_then(NonZeroU32::new).unwrap_or(NonZeroU32::MIN)
     }
 
     /// The scene this world was made from.

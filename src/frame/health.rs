@@ -57,9 +57,11 @@ pub enum Reset {
     Panic = 3,
     /// The program hung.
     Watchdog = 4,
+    /// Whatever the cause: the program in memory is not the one that was sent.
+    Image = 5,
 }
 
-code!(Reset: PowerOn, Requested, Fault, Panic, Watchdog);
+code!(Reset: PowerOn, Requested, Fault, Panic, Watchdog, Image);
 
 code!(Factory: File, Awaited, Received);
 

@@ -276,7 +276,7 @@ proptest! {
     #[test]
     fn health_comes_back_as_it_left(
         (pan, mote, sequence, uptime, half_turn_q8) in any::<(u16, u16, u16, u32, u32)>(),
-        (lock, reset, reset_detail) in (0..7usize, 0..5usize, any::<u32>()),
+        (lock, reset, reset_detail) in (0..7usize, 0..6usize, any::<u32>()),
         (syncs, sweeps, waiting) in any::<([u16; 2], [[u16; 2]; 2], [u8; 3])>(),
         counts in any::<[u16; 12]>(),
         stations in prop::array::uniform2((any::<(u32, [u8; 4], i8, bool)>(), 0..3usize)),
@@ -290,7 +290,7 @@ proptest! {
             lock: [
                 Lock::NoLight, Lock::Searching, Lock::Locked, Lock::OneStation, Lock::Spacing, Lock::Widths, Lock::V2,
             ][lock],
-            reset: [Reset::PowerOn, Reset::Requested, Reset::Fault, Reset::Panic, Reset::Watchdog][reset],
+            reset: [Reset::PowerOn, Reset::Requested, Reset::Fault, Reset::Panic, Reset::Watchdog, Reset::Image][reset],
             reset_detail,
             syncs,
             sweeps,

@@ -23,7 +23,7 @@ use crate::process::root;
 use judge::Counted;
 use stages::{Cost, STAGES};
 pub(crate) use whole::readable;
-use whole::{Run, Size, Whole};
+use whole::{ACTIVE_W, RECEIVER_W, Run, Size, Whole};
 
 /// What the bench may be told.
 #[derive(clap::Args)]
@@ -269,6 +269,7 @@ impl Counts {
             )?;
         }
         self.write_whole(out)?;
+        self.write_energy(out)?;
         self.write_profile(out, functions)?;
         writeln!(out, "\n{:<38} {:>9} {:>9}", "budget", "is", "may be")?;
         let figures = self.figures();
@@ -305,6 +306,32 @@ impl Counts {
         let Size { text, rodata, data, bss, uninit } = self.size;
         writeln!(out, "image {} B: text {text}, rodata {rodata}, data {data}", self.size.image())?;
         writeln!(out, "RAM {} B: data {data}, bss {bss}, uninit {uninit}; the stack comes on top", self.size.ram())
+    }
+
+    fn write_energy(&self, out: &mut String) -> Result<(), std::fmt::Error> {
+        let micro = 1e6;
+        writeln!(
+            out,
+            "\nenergy of a fix, uJ: {:.1} mW while the core or the radio is on, {:.1} uW for the optical receiver; sleep,",
+            ACTIVE_W * 1e3,
+            RECEIVER_W * micro
+        )?;
+        writeln!(out, "of which nothing is published, not counted")?;
+        for (name, run) in [("5 MHz", &self.runs[0]), ("10 MHz", &self.runs[1])] {
+            let energy = &run.energy;
+            writeln!(
+                out,
+                "{name:>7}: core {:.0} us awake {:.2} + radio {:.0} us powered {:.2} + receiver {:.1} ms {:.3} = {:.2}",
+                energy.awake_s * micro,
+                energy.core_j() * micro,
+                energy.radio_s * micro,
+                energy.radio_j() * micro,
+                energy.all_s * 1e3,
+                energy.receiver_j() * micro,
+                energy.fix_j() * micro
+            )?;
+        }
+        Ok(())
     }
 
     fn write_profile(&self, out: &mut String, functions: usize) -> Result<(), std::fmt::Error> {
@@ -355,8 +382,26 @@ impl Counts {
                 json!({ "figure": budget.figure, "what": budget.what, "is": is, "may_be": budget.most, "met": is <= budget.most })
             })
             .collect();
+        let energy: serde_json::Map<_, _> = [("5mhz", &self.runs[0]), ("10mhz", &self.runs[1])]
+            .into_iter()
+            .map(|(name, run)| {
+                let of = &run.energy;
+                let row = json!({
+                    "active_w": ACTIVE_W,
+                    "receiver_w": RECEIVER_W,
+                    "awake_s": of.awake_s,
+                    "radio_s": of.radio_s,
+                    "all_s": of.all_s,
+                    "core_j": of.core_j(),
+                    "radio_j": of.radio_j(),
+                    "receiver_j": of.receiver_j(),
+                    "fix_j": of.fix_j(),
+                });
+                (name.to_string(), row)
+            })
+            .collect();
         let figures: serde_json::Map<_, _> = figures.into_iter().map(|(name, value)| (name, json!(value))).collect();
-        json!({ "stages": stages, "figures": figures, "budgets": budgets })
+        json!({ "stages": stages, "energy_of_a_fix": energy, "figures": figures, "budgets": budgets })
     }
 }
 

@@ -26,6 +26,8 @@ mod reproduce;
 mod run;
 mod scenes;
 mod setup;
+#[cfg(test)]
+mod silicon;
 mod test;
 
 /// Motes that find their own position in the light of two Lighthouse stations

@@ -290,6 +290,9 @@ impl Session {
             second = (second + look_s).min(self.length_s);
             let cycle = self.cycle(second);
             self.light_until(cycle)?;
+            if let Source::World { world, .. } = &self.source {
+                self.mote.set_hclk_hz(world.clock_hz(second - look_s / 2.0));
+            }
             match &mut stamps {
                 Some(stamps) => stamps.run_until(&mut self.mote, cycle)?,
                 None => self.mote.run_until(cycle)?,

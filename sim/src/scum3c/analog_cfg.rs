@@ -10,9 +10,11 @@
 //! # Note
 //! Modelled: the counters (0), the LC frequency (7, 8) as far as a change cuts a transmission, the radio's LDOs (10),
 //! the modulation source (11), mixer and polyphase (16), the scan chain (22). The others keep what is written and do
-//! nothing. The scan chain is only remembered: the model has its clocks and pads as the lighthouse set-up leaves them.
+//! nothing. Without [`Oscillators`] the clocks are as the configuration says, whatever the codes.
 
+use super::oscillators::Oscillators;
 use super::rf_controller::Why;
+use super::scan_chain::{ScanChain, WORDS};
 use std::num::NonZeroU32;
 
 /// Bytes from one register to the next (SCuM-3C test code, memory_map.h:18-21).
@@ -41,25 +43,21 @@ const LDO_TX: u16 = 0x0028;
 /// The divider's supply, without which the LC counter stands still.
 const LDO_DIV: u16 = 0x0040;
 const LDO_LO: u16 = 0x0008;
+/// The power amplifier's supply.
+const LDO_PA: u16 = 0x0020;
+/// Register 10: LO and IF on under software control (SCuM-3C test code, radio.c).
+const LDO_RX: u16 = 0x0018;
 /// Register 11: 802.15.4 chips modulate the transmitter (SCuM-3C test code, lighthouse.c:144-200: analog_cfg<183>).
 const MODULATION_15_4: u16 = 0x0080;
 /// Register 16: polyphase off, mixers off (SCuM-3C test code, radio.c).
 const MIXER_TX: u16 = 0x0006;
+/// Register 16: polyphase on, mixers on (SCuM-3C test code, radio.c).
+const MIXER_RX: u16 = 0x0001;
 /// The least time from switching the transmitter on to sending (SCuM-3C test code, radio.c: "at least ~50 us").
 const SETTLE_US: u64 = 50;
 
 /// The HF clock is divided by two to make HCLK (SCuM-3C test code, lighthouse.c: HCLK divider 2).
 const HF_PER_CYCLE: u64 = 2;
-
-/// The scan chain's length.
-pub(super) const SCAN_BITS: usize = 1216;
-/// Words of 32 bits in the scan chain.
-const SCAN_WORDS: usize = SCAN_BITS / 32;
-/// Bits of register 22 (SCuM-3C test code, scm3c_hw_interface.c:1289-1333). The data bit is inverted.
-const SCAN_IN: u16 = 0x01;
-const SCAN_PHI1: u16 = 0x02;
-const SCAN_PHI2: u16 = 0x04;
-const SCAN_LOAD: u16 = 0x08;
 
 /// What the free-running oscillators do, other than the one that makes HCLK. Defaults are the calibration targets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,45 +78,26 @@ impl Default for Clocks {
     }
 }
 
-#[derive(Debug)]
-struct ScanChain {
-    /// A ring: `newest` is where the bit shifted in last lies, older bits follow it.
-    shift: [bool; SCAN_BITS],
-    newest: usize,
-    sampled: Option<bool>,
-    last: u16,
-    loaded: [u32; SCAN_WORDS],
-    loads: u64,
+/// Rates now, Hz.
+#[derive(Debug, Clone, Copy)]
+struct Rates {
+    lf_hz: f64,
+    rc2m_hz: f64,
+    lc_div_hz: f64,
+    if_hz: f64,
 }
 
-impl ScanChain {
-    fn new() -> Self {
-        Self { shift: [false; SCAN_BITS], newest: 0, sampled: None, last: 0, loaded: [0; SCAN_WORDS], loads: 0 }
-    }
+/// The radio's oscillator is counted divided by 480 * 2 (SCuM-3C test code, optical.c).
+const LC_DIVIDER: f64 = 960.0;
 
-    fn write(&mut self, value: u16) {
-        let rising = value & !self.last;
-        self.last = value;
-        // Two phases: phi2 opens the first half of each stage, phi1 the second.
-        if rising & SCAN_PHI2 != 0 {
-            self.sampled = Some(value & SCAN_IN == 0);
-        }
-        if rising & SCAN_PHI1 != 0
-            && let Some(bit) = self.sampled.take()
-        {
-            self.newest = self.newest.checked_sub(1).unwrap_or(SCAN_BITS - 1);
-            self.shift[self.newest] = bit;
-        }
-        if rising & SCAN_LOAD != 0 {
-            self.loads += 1;
-            self.loaded = [0; SCAN_WORDS];
-            for position in 0..SCAN_BITS {
-                if self.shift[(self.newest + position) % SCAN_BITS] {
-                    self.loaded[position / 32] |= 0x8000_0000 >> (position % 32);
-                }
-            }
-        }
-    }
+/// Counts since the last reset, with their fractions.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    lf: f64,
+    rc2m: f64,
+    lc: f64,
+    intermediate: f64,
+    hf: u64,
 }
 
 #[derive(Debug)]
@@ -126,29 +105,93 @@ pub(super) struct AnalogCfg {
     clocks: Clocks,
     hclk_hz: NonZeroU32,
     written: [u16; REGISTERS],
+    oscillators: Option<Oscillators>,
+    rates: Rates,
     counted_to: u64,
-    /// Femtoseconds the counters have run.
-    ran_fs: u128,
-    /// Femtoseconds the counters have run with LO and divider powered.
-    lc_ran_fs: u128,
-    hf_count: u64,
+    counts: Counts,
+    /// Cycles with the LO powered, those with the PA powered too.
+    powered: Powered,
     scan: ScanChain,
     transmitter_on_since: Option<u64>,
+    receiver_on_since: Option<u64>,
+}
+
+/// How long the radio was powered, in core cycles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Powered {
+    /// The local oscillator, whatever else.
+    pub oscillator: u64,
+    /// Of those, with the power amplifier.
+    pub amplifier: u64,
 }
 
 impl AnalogCfg {
-    pub(super) fn new(clocks: Clocks, hclk_hz: NonZeroU32) -> Self {
-        Self {
+    pub(super) fn new(clocks: Clocks, hclk_hz: NonZeroU32, oscillators: Option<Oscillators>) -> Self {
+        let mut analog = Self {
             clocks,
             hclk_hz,
             written: [0; REGISTERS],
+            oscillators,
+            rates: Rates { lf_hz: 0.0, rc2m_hz: 0.0, lc_div_hz: 0.0, if_hz: 0.0 },
             counted_to: 0,
-            ran_fs: 0,
-            lc_ran_fs: 0,
-            hf_count: 0,
+            counts: Counts::default(),
+            powered: Powered::default(),
             scan: ScanChain::new(),
             transmitter_on_since: None,
+            receiver_on_since: None,
+        };
+        analog.retune();
+        analog
+    }
+
+    /// The rates follow the codes.
+    fn retune(&mut self) {
+        let Clocks { lf_hz, rc2m_hz, lc_div_hz, if_hz } = self.clocks;
+        let chain = self.scan.loaded();
+        self.rates = Rates {
+            lf_hz: lf_hz.into(),
+            rc2m_hz: self.oscillators.map_or(rc2m_hz.into(), |chip| chip.chip_clock_hz(chain)),
+            lc_div_hz: self
+                .oscillators
+                .map_or(lc_div_hz.into(), |chip| chip.lc_hz(self.written[LC_LOW], self.written[LC_HIGH]) / LC_DIVIDER),
+            if_hz: self.oscillators.map_or(if_hz.into(), |chip| chip.if_hz(chain)),
+        };
+    }
+
+    /// A new chain has taken effect: the core runs on the 20 MHz oscillator where all is well.
+    fn reclock(&mut self) {
+        let hz = self.oscillators.map(|chip| chip.hf_hz(self.scan.loaded()) / HF_PER_CYCLE as f64);
+        if let Some(hclk_hz) =
+            hz.filter(|_| self.scan.wrong().is_empty()).and_then(|hz| NonZeroU32::new(hz.round() as u32))
+        {
+            self.hclk_hz = hclk_hz;
         }
+    }
+
+    /// The radio's own rate, Hz.
+    pub(super) fn lc_hz(&self) -> f64 {
+        self.rates.lc_div_hz * LC_DIVIDER
+    }
+
+    /// The 2 MHz oscillator, Hz.
+    pub(super) fn chip_clock_hz(&self) -> f64 {
+        self.rates.rc2m_hz
+    }
+
+    /// How long the radio was powered, to `cycle`.
+    pub(super) fn powered(&mut self, cycle: u64) -> Powered {
+        self.count(cycle);
+        self.powered
+    }
+
+    /// What is wrong with the scan chain.
+    pub(super) fn scan_wrong(&self) -> &[Why] {
+        self.scan.wrong()
+    }
+
+    /// Whether pads 8 and 9 are read.
+    pub(super) fn pads_read(&self) -> (bool, bool) {
+        self.scan.loaded().reads()
     }
 
     pub(super) fn hclk_hz(&self) -> NonZeroU32 {
@@ -161,12 +204,12 @@ impl AnalogCfg {
     }
 
     /// The scan chain as last loaded, bit n at `0x8000_0000 >> (n % 32)` of word n / 32.
-    pub(super) fn scan_chain(&self) -> &[u32; SCAN_WORDS] {
-        &self.scan.loaded
+    pub(super) fn scan_chain(&self) -> &[u32; WORDS] {
+        &self.scan.loaded().0
     }
 
     pub(super) fn scan_loads(&self) -> u64 {
-        self.scan.loads
+        self.scan.loads()
     }
 
     /// Whether the transmitter is powered and modulated.
@@ -185,9 +228,30 @@ impl AnalogCfg {
 
     /// Whether a frame can be sent at `cycle`.
     pub(super) fn ready_to_send(&self, cycle: u64) -> Result<(), Why> {
+        if let Some(&wrong) = self.scan.wrong().first() {
+            return Err(wrong);
+        }
         self.transmitter()?;
+        self.settled(self.transmitter_on_since, cycle)
+    }
+
+    /// Whether the receiver can be started at `cycle`.
+    pub(super) fn ready_to_receive(&self, cycle: u64) -> Result<(), Why> {
+        if let Some(&wrong) = self.scan.wrong().first() {
+            return Err(wrong);
+        }
+        if self.written[LDO] & !LDO_DIV != LDO_RX {
+            return Err(Why::NoReceiver { ldo: self.written[LDO] });
+        }
+        if self.written[MIXER] != MIXER_RX {
+            return Err(Why::ReceiverOff { mixer: self.written[MIXER] });
+        }
+        self.settled(self.receiver_on_since, cycle)
+    }
+
+    fn settled(&self, since: Option<u64>, cycle: u64) -> Result<(), Why> {
         let needed = (SETTLE_US * u64::from(self.hclk_hz.get())).div_ceil(1_000_000);
-        let settled = self.transmitter_on_since.map_or(0, |since| cycle.saturating_sub(since));
+        let settled = since.map_or(0, |since| cycle.saturating_sub(since));
         if settled < needed {
             return Err(Why::NotSettled { cycles: settled });
         }
@@ -202,30 +266,39 @@ impl AnalogCfg {
     fn count(&mut self, cycle: u64) {
         let cycles = cycle.saturating_sub(self.counted_to);
         self.counted_to = cycle;
+        if self.written[LDO] & LDO_LO != 0 {
+            self.powered.oscillator = self.powered.oscillator.saturating_add(cycles);
+            if self.written[LDO] & LDO_PA != 0 {
+                self.powered.amplifier = self.powered.amplifier.saturating_add(cycles);
+            }
+        }
         if self.written[COUNTERS] != COUNTERS_RUN {
             return;
         }
-        let fs = u128::from(cycles) * FS_PER_S / u128::from(self.hclk_hz.get());
-        self.ran_fs = self.ran_fs.saturating_add(fs);
+        let seconds = cycles as f64 / f64::from(self.hclk_hz.get());
+        let Rates { lf_hz, rc2m_hz, lc_div_hz, if_hz } = self.rates;
+        self.counts.lf += seconds * lf_hz;
+        self.counts.rc2m += seconds * rc2m_hz;
+        self.counts.intermediate += seconds * if_hz;
         if self.written[LDO] & (LDO_LO | LDO_DIV) == LDO_LO | LDO_DIV {
-            self.lc_ran_fs = self.lc_ran_fs.saturating_add(fs);
+            self.counts.lc += seconds * lc_div_hz;
         }
-        self.hf_count = self.hf_count.wrapping_add(cycles.wrapping_mul(HF_PER_CYCLE));
+        self.counts.hf = self.counts.hf.wrapping_add(cycles.wrapping_mul(HF_PER_CYCLE));
     }
 
     pub(super) fn read(&mut self, offset: u32, cycle: u64) -> Result<u32, &'static str> {
         let index = register(offset)?;
         if index == SCAN {
-            return Ok(u32::from(self.scan.last));
+            return Ok(u32::from(self.scan.last()));
         }
         self.count(cycle);
         // Low half first (SCuM-3C test code, scm3c_hw_interface.c, read_counters_3B).
         let count = match index & !1 {
-            0 => ticks(self.ran_fs, self.clocks.lf_hz),
-            4 => self.hf_count as u32,
-            6 => ticks(self.ran_fs, self.clocks.rc2m_hz),
-            10 => ticks(self.lc_ran_fs, self.clocks.lc_div_hz),
-            12 => ticks(self.ran_fs, self.clocks.if_hz),
+            0 => whole(self.counts.lf),
+            4 => self.counts.hf as u32,
+            6 => whole(self.counts.rc2m),
+            10 => whole(self.counts.lc),
+            12 => whole(self.counts.intermediate),
             _ if RECEIVER.contains(&index) => {
                 return Err("what the receiver measures is not simulated");
             }
@@ -243,16 +316,17 @@ impl AnalogCfg {
         self.count(cycle);
         self.written[index] = value;
         match index {
-            COUNTERS if value == COUNTERS_RESET => {
-                self.ran_fs = 0;
-                self.lc_ran_fs = 0;
-                self.hf_count = 0;
+            COUNTERS if value == COUNTERS_RESET => self.counts = Counts::default(),
+            LDO | MIXER => {
+                let on = |is: bool, since: Option<u64>| is.then(|| since.unwrap_or(cycle));
+                self.transmitter_on_since = on(self.transmitter_powered(), self.transmitter_on_since);
+                self.receiver_on_since = on(self.receiver_powered(), self.receiver_on_since);
             }
-            LDO | MIXER if self.transmitter_powered() => {
-                self.transmitter_on_since.get_or_insert(cycle);
+            LC_LOW | LC_HIGH => self.retune(),
+            SCAN if self.scan.write(value) => {
+                self.reclock();
+                self.retune();
             }
-            LDO | MIXER => self.transmitter_on_since = None,
-            SCAN => self.scan.write(value),
             _ => {}
         }
         Ok(())
@@ -261,12 +335,15 @@ impl AnalogCfg {
     fn transmitter_powered(&self) -> bool {
         self.written[LDO] & !LDO_DIV == LDO_TX && self.written[MIXER] == MIXER_TX
     }
+
+    fn receiver_powered(&self) -> bool {
+        self.written[LDO] & !LDO_DIV == LDO_RX && self.written[MIXER] == MIXER_RX
+    }
 }
 
-const FS_PER_S: u128 = 1_000_000_000_000_000;
-
-fn ticks(fs: u128, hz: u32) -> u32 {
-    (fs.saturating_mul(u128::from(hz)) / FS_PER_S) as u32
+/// What a counter of 32 bits shows. An edge is counted when it has come: a millionth is the arithmetic's own.
+fn whole(count: f64) -> u32 {
+    (count + 1e-6) as u64 as u32
 }
 
 fn register(offset: u32) -> Result<usize, &'static str> {
@@ -279,13 +356,21 @@ fn register(offset: u32) -> Result<usize, &'static str> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::scan_chain::tests::{needed, writes};
     use super::*;
-    use proptest::prelude::*;
 
     const HCLK_HZ: NonZeroU32 = NonZeroU32::new(10_000_000).unwrap();
 
     fn analog() -> AnalogCfg {
-        AnalogCfg::new(Clocks::default(), HCLK_HZ)
+        loaded(None)
+    }
+
+    fn loaded(oscillators: Option<Oscillators>) -> AnalogCfg {
+        let mut analog = AnalogCfg::new(Clocks::default(), HCLK_HZ, oscillators);
+        for value in writes(&needed()) {
+            put(&mut analog, SCAN, value.into(), 0);
+        }
+        analog
     }
 
     fn put(analog: &mut AnalogCfg, index: usize, value: u32, cycle: u64) {
@@ -375,25 +460,50 @@ mod tests {
         assert!(analog.write(0, 1, 0).is_err());
     }
 
-    proptest! {
-        #[test]
-        fn what_is_shifted_into_the_scan_chain_is_what_gets_loaded(asc in any::<[u32; 16]>(), seed in any::<u32>()) {
-            let mut words = [seed; SCAN_WORDS];
-            words[..16].copy_from_slice(&asc);
-            let mut analog = analog();
-            for word in words.iter().rev() {
-                for bit in 0..32 {
-                    let data = if word >> bit & 1 == 0 { 0x21 } else { 0x20 };
-                    for value in [data, data, data | 4, data, data | 2] {
-                        put(&mut analog, SCAN, value, 0);
-                    }
-                }
-            }
-            prop_assert_eq!(analog.scan_loads(), 0);
-            put(&mut analog, SCAN, 0x28, 0);
-            put(&mut analog, SCAN, 0x20, 0);
-            prop_assert_eq!(analog.scan_loads(), 1);
-            prop_assert_eq!(analog.scan_chain(), &words);
+    #[test]
+    fn without_a_scan_chain_the_radio_neither_sends_nor_receives() {
+        let mut analog = AnalogCfg::new(Clocks::default(), HCLK_HZ, None);
+        put(&mut analog, MODULATION, 0x80, 0);
+        put(&mut analog, LDO, 0x28, 0);
+        put(&mut analog, MIXER, 0x6, 0);
+        assert_eq!(analog.ready_to_send(1_000), Err(Why::NotConfigured));
+        assert_eq!(analog.ready_to_receive(1_000), Err(Why::NotConfigured));
+    }
+
+    #[test]
+    fn the_receiver_is_ready_50_us_after_it_is_switched_on() {
+        let mut analog = analog();
+        assert_eq!(analog.ready_to_receive(0), Err(Why::NoReceiver { ldo: 0 }));
+        put(&mut analog, LDO, 0x18, 0);
+        assert_eq!(analog.ready_to_receive(9_000), Err(Why::ReceiverOff { mixer: 0 }));
+        put(&mut analog, MIXER, 0x1, 1_000);
+        assert_eq!(analog.ready_to_receive(1_499), Err(Why::NotSettled { cycles: 499 }));
+        assert_eq!(analog.ready_to_receive(1_500), Ok(()));
+        assert_eq!(analog.ready_to_send(1_500), Err(Why::WrongLdos { ldo: 0x18 }));
+    }
+
+    #[test]
+    fn the_time_the_radio_is_powered_is_kept() {
+        let mut analog = analog();
+        put(&mut analog, LDO, 0x28, 100);
+        put(&mut analog, LDO, 0x48, 400);
+        put(&mut analog, LDO, 0x00, 1_000);
+        assert_eq!(analog.powered(5_000), Powered { oscillator: 900, amplifier: 300 });
+    }
+
+    #[test]
+    fn the_clocks_of_a_chip_with_its_own_oscillators_follow_their_codes() {
+        let chip = Oscillators::of(3);
+        let mut analog = loaded(Some(chip));
+        let (before, slower_word) = (analog.hclk_hz(), 870 / 32);
+        let mut words = needed();
+        words[slower_word] |= 0x8000_0000 >> (870 % 32);
+        for value in writes(&words) {
+            put(&mut analog, SCAN, value.into(), 0);
         }
+        assert!(analog.hclk_hz() < before, "a higher fine code is slower");
+        let radio = analog.lc_hz();
+        put(&mut analog, LC_LOW, 0x1000, 0);
+        assert!(analog.lc_hz() > radio, "a higher fine code is faster");
     }
 }

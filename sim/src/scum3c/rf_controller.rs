@@ -20,6 +20,7 @@
 //! - The layout of STATUS is not published: reading it faults.
 //! - Nothing is ever received. RX_START only makes the radio busy until RX_STOP or RESET.
 
+use super::scan_chain::Needed;
 use crate::bus::Dma;
 use std::collections::VecDeque;
 use std::fmt;
@@ -107,6 +108,28 @@ pub enum Why {
         /// The packet asked for.
         dma: Dma,
     },
+    /// The scan chain was never loaded.
+    NotConfigured,
+    /// The scan chain was loaded with too few or too many bits shifted in, so that all of them stand elsewhere.
+    ScanLength {
+        /// How many there were.
+        bits: u32,
+    },
+    /// The scan chain was loaded with a bit that is not as the lighthouse set-up needs it.
+    ScanBit {
+        /// The bit and what it should be.
+        needed: Needed,
+    },
+    /// RX_START while ANALOG_CFG 10 does not have LO and IF on under software control (0x18, or 0x58 with the divider).
+    NoReceiver {
+        /// What it has.
+        ldo: u16,
+    },
+    /// RX_START while ANALOG_CFG 16 does not have mixers and polyphase on (0x1).
+    ReceiverOff {
+        /// What it has.
+        mixer: u16,
+    },
     /// A frame is in the air.
     Sending,
     /// The receiver is running.
@@ -140,9 +163,43 @@ impl Why {
     fn error_bit(self) -> u32 {
         match self {
             Self::BadLength { .. } | Self::NotInRam { .. } => TX_OVERFLOW,
+            Self::ScanLength { .. } | Self::ScanBit { .. } | Self::NoReceiver { .. } | Self::ReceiverOff { .. } => 0,
             _ => TX_CUTOFF,
         }
     }
+
+    /// The register whose value or write was the reason, with its address.
+    #[must_use]
+    pub fn register(self) -> &'static str {
+        match self {
+            Self::NotLoaded
+            | Self::StillLoading
+            | Self::Sending
+            | Self::Receiving
+            | Self::NotSettled { .. }
+            | Self::Reset => "RF CONTROL (0x40000000)",
+            Self::BadLength { .. } => "RF TX_PACK_LEN (0x4000000c)",
+            Self::NotInRam { .. } => "RF TX_DATA_ADDR (0x40000008)",
+            Self::Retuned => "ANALOG_CFG 7, 8 (0x521c0000, 0x52200000)",
+            Self::WrongLdos { .. } | Self::NoReceiver { .. } | Self::CutOff => "ANALOG_CFG 10 (0x52280000)",
+            Self::NotModulated => "ANALOG_CFG 11 (0x522c0000)",
+            Self::WrongMixers { .. } | Self::ReceiverOff { .. } => "ANALOG_CFG 16 (0x52400000)",
+            Self::NotConfigured | Self::ScanLength { .. } | Self::ScanBit { .. } => "ANALOG_CFG 22 (0x52580000)",
+        }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "cycle {}: {}: {}", self.cycle, self.why.register(), self.why)
+    }
+}
+
+/// What the analog part can do at the moment.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Readiness {
+    pub(super) send: Result<(), Why>,
+    pub(super) receive: Result<(), Why>,
 }
 
 impl fmt::Display for Why {
@@ -156,13 +213,20 @@ impl fmt::Display for Why {
             Self::NotInRam { dma: Dma { address, len } } => {
                 write!(f, "{len} bytes at {address:#010x} are not all in data RAM")
             }
+            Self::NotConfigured => write!(f, "the scan chain was never loaded"),
+            Self::ScanLength { bits } => write!(f, "the scan chain was loaded after {bits} bits, not 1216"),
+            Self::ScanBit { needed: Needed { bit, value, what } } => {
+                write!(f, "bit {bit} of the scan chain is not {}: {what}", u8::from(*value))
+            }
+            Self::NoReceiver { ldo } => write!(f, "{ldo:#x}, not 0x18: LO and IF are not on"),
+            Self::ReceiverOff { mixer } => write!(f, "{mixer:#x}, not 0x1: mixers and polyphase are not on"),
             Self::Sending => write!(f, "a frame is in the air"),
             Self::Receiving => write!(f, "the receiver is running"),
             Self::WrongLdos { ldo } => write!(f, "ANALOG_CFG 10 is {ldo:#x}, not 0x28: LO and PA are not on"),
             Self::WrongMixers { mixer } => write!(f, "ANALOG_CFG 16 is {mixer:#x}, not 0x6: the mixers are not off"),
             Self::NotModulated => write!(f, "ANALOG_CFG 11 has not selected the 802.15.4 modulation (0x80)"),
             Self::NotSettled { cycles } => {
-                write!(f, "{cycles} cycles after switching on; 50 us are needed")
+                write!(f, "a start {cycles} cycles after switching on; 50 us are needed")
             }
             Self::CutOff => write!(f, "the transmitter was switched off in the middle of a frame"),
             Self::Retuned => write!(f, "the LC tank was retuned in the middle of a frame"),
@@ -263,7 +327,8 @@ impl RfController {
         self.sending.is_some()
     }
 
-    fn refuse(&mut self, cycle: u64, why: Why) {
+    /// Writes down that it was not done.
+    pub(super) fn refuse(&mut self, cycle: u64, why: Why) {
         self.errors |= why.error_bit();
         self.refused += 1;
         if self.refusals.len() < KEPT_REFUSALS {
@@ -319,8 +384,8 @@ impl RfController {
         }
     }
 
-    /// What CONTROL is told, by software or by the RFTIMER. `ready` says whether the transmitter can send.
-    pub(super) fn command(&mut self, bits: u32, cycle: u64, ready: Result<(), Why>, hclk_hz: NonZeroU32) {
+    /// What CONTROL is told, by software or by the RFTIMER. `ready` says what the analog part can do.
+    pub(super) fn command(&mut self, bits: u32, cycle: u64, ready: Readiness, hclk_hz: NonZeroU32) {
         if bits & RESET != 0 {
             self.cut(cycle, Why::Reset);
             self.load = Load::Empty;
@@ -330,13 +395,15 @@ impl RfController {
             self.load(cycle);
         }
         if bits & TX_SEND != 0
-            && let Err(why) = self.send(cycle, ready, hclk_hz)
+            && let Err(why) = self.send(cycle, ready.send, hclk_hz)
         {
             self.refuse(cycle, why);
         }
         if bits & RX_START != 0 {
             if self.is_sending() {
                 self.refuse(cycle, Why::Sending);
+            } else if let Err(why) = ready.receive {
+                self.refuse(cycle, why);
             } else {
                 self.receiving = true;
             }
@@ -427,13 +494,14 @@ mod tests {
     use super::*;
 
     const HCLK_HZ: NonZeroU32 = NonZeroU32::new(10_000_000).unwrap();
+    const READY: Readiness = Readiness { send: Ok(()), receive: Ok(()) };
 
     fn asked(len: u32) -> RfController {
         let mut rf = RfController::new();
         rf.write(INT_CONFIG, 0x3FF).unwrap();
         rf.write(TX_DATA_ADDR, 0x2000_0100).unwrap();
         rf.write(TX_PACK_LEN, len).unwrap();
-        rf.command(TX_LOAD, 0, Ok(()), HCLK_HZ);
+        rf.command(TX_LOAD, 0, READY, HCLK_HZ);
         rf
     }
 
@@ -467,14 +535,14 @@ mod tests {
         let mut rf = asked(9);
         assert_eq!(rf.next_event(), u64::MAX);
         assert_eq!(rf.give_dma(&[1; 9], 5_000), LOAD_DONE);
-        rf.command(TX_SEND, 5_001, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 5_001, READY, HCLK_HZ);
         assert!(rf.is_sending());
     }
 
     #[test]
     fn a_frame_takes_32_us_a_byte_with_six_bytes_before_it() {
         let mut rf = loaded(11);
-        rf.command(TX_SEND, 1_000, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 1_000, READY, HCLK_HZ);
         assert_eq!(rf.next_event(), 1_000 + 1_600);
         assert_eq!(rf.advance(2_600), SFD_DONE);
         let end_cycle = 1_000 + (6 + 11) * 320;
@@ -489,7 +557,7 @@ mod tests {
     #[test]
     fn the_airtime_is_true_time_whatever_the_clock() {
         let mut rf = loaded(2);
-        rf.command(TX_SEND, 0, Ok(()), NonZeroU32::new(10_820_000).unwrap());
+        rf.command(TX_SEND, 0, READY, NonZeroU32::new(10_820_000).unwrap());
         rf.advance(rf.next_event());
         assert_eq!(rf.next_event(), 2_770); // 8 * 32 us * 10.82 MHz = 2769.92
     }
@@ -497,7 +565,7 @@ mod tests {
     #[test]
     fn sending_what_is_not_loaded_or_already_sent_is_refused() {
         let mut rf = RfController::new();
-        rf.command(TX_SEND, 3, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 3, READY, HCLK_HZ);
         assert_eq!(rf.refusals(), [Refusal { cycle: 3, why: Why::NotLoaded }]);
         assert_eq!(rf.read(ERROR), Ok(TX_CUTOFF));
         assert!(!rf.line());
@@ -506,9 +574,9 @@ mod tests {
         rf.write(ERROR_CLEAR, TX_CUTOFF).unwrap();
         assert!(!rf.line());
         let mut rf = loaded(9);
-        rf.command(TX_SEND, 10, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 10, READY, HCLK_HZ);
         rf.advance(100_000);
-        rf.command(TX_SEND, 100_000, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 100_000, READY, HCLK_HZ);
         assert_eq!(whys(&rf), [Why::NotLoaded]);
         assert_eq!(rf.take_frames().len(), 1);
     }
@@ -516,9 +584,9 @@ mod tests {
     #[test]
     fn sending_in_the_middle_of_a_load_is_refused() {
         let mut rf = asked(9);
-        rf.command(TX_SEND, 0, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 0, READY, HCLK_HZ);
         rf.give_dma(&[0; 9], 0);
-        rf.command(TX_SEND, 8, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 8, READY, HCLK_HZ);
         assert_eq!(whys(&rf), [Why::StillLoading, Why::StillLoading]);
     }
 
@@ -544,10 +612,10 @@ mod tests {
     #[test]
     fn sending_and_loading_while_a_frame_is_in_the_air_are_refused() {
         let mut rf = loaded(9);
-        rf.command(TX_SEND, 100, Ok(()), HCLK_HZ);
-        rf.command(TX_SEND, 101, Ok(()), HCLK_HZ);
-        rf.command(TX_LOAD, 102, Ok(()), HCLK_HZ);
-        rf.command(RX_START, 103, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 100, READY, HCLK_HZ);
+        rf.command(TX_SEND, 101, READY, HCLK_HZ);
+        rf.command(TX_LOAD, 102, READY, HCLK_HZ);
+        rf.command(RX_START, 103, READY, HCLK_HZ);
         assert_eq!(whys(&rf), [Why::Sending; 3]);
         rf.advance(100_000);
         assert_eq!(rf.take_frames().len(), 1);
@@ -556,28 +624,42 @@ mod tests {
     #[test]
     fn sending_while_receiving_is_refused_until_the_receiver_stops() {
         let mut rf = loaded(9);
-        rf.command(RX_START, 20, Ok(()), HCLK_HZ);
-        rf.command(TX_SEND, 21, Ok(()), HCLK_HZ);
+        rf.command(RX_START, 20, READY, HCLK_HZ);
+        rf.command(TX_SEND, 21, READY, HCLK_HZ);
         assert_eq!(whys(&rf), [Why::Receiving]);
-        rf.command(RX_STOP, 22, Ok(()), HCLK_HZ);
-        rf.command(TX_SEND, 23, Ok(()), HCLK_HZ);
+        rf.command(RX_STOP, 22, READY, HCLK_HZ);
+        rf.command(TX_SEND, 23, READY, HCLK_HZ);
+        assert!(rf.is_sending());
+    }
+
+    #[test]
+    fn a_receiver_that_is_not_ready_does_not_run() {
+        let mut rf = loaded(9);
+        let off = Readiness { receive: Err(Why::NoReceiver { ldo: 0x28 }), ..READY };
+        rf.command(RX_START, 20, off, HCLK_HZ);
+        assert_eq!(
+            rf.refusals()[0].to_string(),
+            "cycle 20: ANALOG_CFG 10 (0x52280000): 0x28, not 0x18: LO and IF are not on"
+        );
+        rf.command(TX_SEND, 21, READY, HCLK_HZ);
         assert!(rf.is_sending());
     }
 
     #[test]
     fn a_transmitter_that_is_not_ready_keeps_the_packet() {
         let mut rf = loaded(9);
-        rf.command(TX_SEND, 20, Err(Why::NotSettled { cycles: 7 }), HCLK_HZ);
+        let unsettled = Readiness { send: Err(Why::NotSettled { cycles: 7 }), ..READY };
+        rf.command(TX_SEND, 20, unsettled, HCLK_HZ);
         assert_eq!(whys(&rf), [Why::NotSettled { cycles: 7 }]);
-        rf.command(TX_SEND, 600, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 600, READY, HCLK_HZ);
         assert!(rf.is_sending());
     }
 
     #[test]
     fn a_reset_loses_the_frame_in_the_air() {
         let mut rf = loaded(9);
-        rf.command(TX_SEND, 20, Ok(()), HCLK_HZ);
-        rf.command(RESET, 300, Ok(()), HCLK_HZ);
+        rf.command(TX_SEND, 20, READY, HCLK_HZ);
+        rf.command(RESET, 300, READY, HCLK_HZ);
         assert_eq!(whys(&rf), [Why::Reset]);
         rf.advance(1_000_000);
         assert!(rf.take_frames().is_empty());
@@ -595,7 +677,7 @@ mod tests {
     fn refusals_are_counted_beyond_those_kept() {
         let mut rf = RfController::new();
         for cycle in 0..5_000 {
-            rf.command(TX_SEND, cycle, Ok(()), HCLK_HZ);
+            rf.command(TX_SEND, cycle, READY, HCLK_HZ);
         }
         assert_eq!((rf.refused(), rf.refusals().len()), (5_000, KEPT_REFUSALS));
     }

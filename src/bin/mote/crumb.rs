@@ -23,6 +23,10 @@ pub enum Kind {
     HardFault = 2,
     /// The log was taken while it was taken.
     Log = 3,
+    /// Nothing was said for too long.
+    Watchdog = 4,
+    /// An interrupt or exception that has no handler; `at` is its number.
+    Stray = 5,
 }
 
 /// What was left.
@@ -46,7 +50,8 @@ impl Crash {
     /// As a health frame says it.
     pub const fn reset(&self) -> Reset {
         match self.kind {
-            kind if kind == Kind::HardFault as u32 => Reset::Fault,
+            kind if kind == Kind::HardFault as u32 || kind == Kind::Stray as u32 => Reset::Fault,
+            kind if kind == Kind::Watchdog as u32 => Reset::Watchdog,
             _ => Reset::Panic,
         }
     }

@@ -118,9 +118,6 @@ impl Queues {
     }
 }
 
-/// Half turns in a second: two per turn of a 60 Hz rotor.
-const HALF_TURNS_PER_S: u32 = 120;
-
 /// The first stage.
 pub struct Classify<B: Board> {
     classifier: Classifier,
@@ -167,10 +164,9 @@ impl<B: Board> Classify<B> {
         let _ = self.tales.push(Told { understood, uptime: self.uptime, pulses_waiting: self.pulses.most() });
     }
 
-    /// A second by the rotors, while they are seen.
-    pub fn second_in_ticks(&self) -> Option<Span> {
-        let ticks = |half_turn: HalfTurn| Span(half_turn.span().0.saturating_mul(HALF_TURNS_PER_S));
-        self.classifier.half_turn().map(ticks)
+    /// The rotors' half turn, while they are seen.
+    pub fn half_turn(&self) -> Option<Span> {
+        self.classifier.half_turn().map(HalfTurn::span)
     }
 
     #[inline(always)]

@@ -1,20 +1,23 @@
 //! The chip from its boot ROM's state to the mote's: clocks, supplies, pins, transmitter.
 //!
-//! Nearly everything hangs on one shift register of 1216 bits, the analog scan chain. Its image is a constant, written
-//! once. Bit numbers and settings are those of the SCuM-3C test code for the lighthouse (`lighthouse.c:24-200` and the
-//! functions of `scm3c_hw_interface.c` it calls): HCLK and radio timer from the 20 MHz oscillator, halved.
+//! Nearly everything hangs on one shift register of 1216 bits, the analog scan chain. Its image is a constant but for
+//! two words, the codes of the oscillators that [`tuning`](crate::tuning) moves. Bit numbers and settings are those of
+//! the SCuM-3C test code for the lighthouse (`lighthouse.c:24-200` and the functions of `scm3c_hw_interface.c` it
+//! calls): HCLK and radio timer from the 20 MHz oscillator, halved.
 //!
-//! What can go wrong: nothing here is calibrated. Every oscillator starts from a typical code: the clock is off by
-//! percents, which the angles do not feel; chip clock and radio oscillator by as much, which a listener does. There is
-//! no way to read the chain back.
+//! What can go wrong: there is no way to read the chain back. The last one written counts, as a whole.
 
+use crate::memory::opaque;
 use crate::pac::analog;
+use crate::tuning::{self, flip};
 
-/// Typical 20 MHz (`scm3c_hw_interface.c`, INIT_HF_CLOCK_COARSE and _FINE).
+/// Typical 20 MHz (`scm3c_hw_interface.c`, INIT_HF_CLOCK_COARSE); the fine code is tuned.
 const HF_COARSE: u32 = 3;
-const HF_FINE: u32 = 17;
-/// Typical 2 MHz chip clock: three coarse codes, fine, superfine (`lighthouse.h`, `scm3c_hw_interface.c`).
-const CHIP_CLOCK: [u32; 5] = [31, 31, 21, 15, 15];
+/// The 2 MHz chip clock's first two coarse codes (`scm3c_hw_interface.c`); the other three are tuned.
+const CHIP_CLOCK: [u32; 2] = [31, 31];
+/// Typical 16 MHz intermediate frequency (`lighthouse.h`, IF_COARSE_LH and _FINE_LH); the receiver is never on.
+const IF_COARSE: u32 = 22;
+const IF_FINE: u32 = 18;
 /// Core supply (`lighthouse.c:57`).
 const VDDD: u32 = 63;
 /// Always-on supply: lower makes fewer optical glitches (`lighthouse.c:59`).
@@ -41,7 +44,7 @@ const INPUT_ENABLE: [u32; 16] =
 
 /// Bits that are simply one.
 #[rustfmt::skip]
-const ONES: [u32; 30] = [
+const ONES: [u32; 33] = [
     // The radio's and the auxiliary supplies obey analog register 10 (:324-360).
     505, 507, 509, 510, 511, 512, 515, 516, 914,
     // HCLK from the 20 MHz oscillator, divided by 2: bit 51, and bit 52, which is inverted and so stands for zero.
@@ -54,7 +57,17 @@ const ONES: [u32; 30] = [
     2, 3, 4, 5, 6, 7, 8,
     // Tone spacing of the modulation, and the dummy bit above it.
     1000, 1001, 1002, 1003,
+    // Mixers and polyphase filter obey analog register 16 (`lighthouse.c`, radio_init_rx_MF_lighthouse).
+    744, 745, 746,
 ];
+
+/// The word with the fine code of the 20 MHz oscillator: bits 870 to 874, the lowest first, the highest inverted.
+const HF_WORD: usize = 27;
+const HF_SHIFT: u32 = 21;
+const HF_INVERTED: u32 = 16;
+/// The word with the codes of the chip clock: five of five bits, each lowest bit first (:1340).
+const CHIP_CLOCK_WORD: usize = 34;
+const CHIP_CLOCK_SHIFTS: [u32; 3] = [16, 11, 6];
 
 /// The analog scan chain: 38 words, bit 0 the highest of the first.
 struct Chain([u32; 38]);
@@ -89,8 +102,6 @@ impl Chain {
         chain.field(929, -1, 5, ALWAYS_ON);
         chain.field(924, 1, 1, !(ALWAYS_ON >> 5));
         chain.field(557, 1, 1, !(ALWAYS_ON >> 6));
-        chain.field(870, 1, 4, HF_FINE);
-        chain.field(874, 1, 1, !(HF_FINE >> 4));
         chain.field(860, 1, 2, HF_COARSE);
         chain.field(875, 1, 3, !(HF_COARSE >> 2));
         let mut row = 0;
@@ -107,40 +118,53 @@ impl Chain {
         }
         // Five codes of five bits, lowest bit first in the chain, from bit 1089; bit 1114 above is their enable
         // (:1340).
-        let mut code = 0;
-        while code < 5 {
-            chain.field(1089 + 5 * code as u32, 1, 5, CHIP_CLOCK[code]);
-            code += 1;
-        }
+        chain.field(1089, 1, 5, CHIP_CLOCK[0]);
+        chain.field(1094, 1, 5, CHIP_CLOCK[1]);
+        chain.field(431, -1, 5, IF_COARSE);
+        chain.field(437, -1, 5, IF_FINE);
         // Words 30 and 31, lowest bit of each code last in the chain (:1568-1600).
         chain.field(995, -1, 8, LC_CURRENT);
         chain.field(978, -1, 7, !PA_SUPPLY);
         chain.field(986, -1, 7, !LO_SUPPLY);
         chain
     }
-
-    /// Shifts the chain in, last word first, lowest bit first, and makes it take effect (:1289-1333).
-    fn write(&self) {
-        for word in self.0.iter().rev() {
-            for bit in 0..32 {
-                // Register 22: bit 0 data, inverted; bits 1 and 2 the two clock phases; bit 5 keeps the chips' own
-                // shift register out of reset.
-                let data = if word >> bit & 1 == 0 { 0x21 } else { 0x20 };
-                analog::REG22.write(data);
-                analog::REG22.write(data | 4);
-                analog::REG22.write(data);
-                analog::REG22.write(data | 2);
-            }
-        }
-        analog::REG22.write(0x28);
-        analog::REG22.write(0x20);
-    }
 }
 
-/// Writes everything. About 6,000 stores: 10 ms at the clock the boot ROM leaves.
-pub fn chip() {
+/// Shifts the chain in with the oscillators' codes as they are, last word first, lowest bit first, and makes it take
+/// effect (:1289-1333). 40,000 cycles; only one at a time may do so.
+#[inline(never)]
+pub fn write_chain() {
     static MOTE: Chain = Chain::mote();
+    for (index, &word) in MOTE.0.iter().enumerate().rev() {
+        let mut word = word;
+        if index == HF_WORD {
+            word |= flip(tuning::hf_fine() ^ HF_INVERTED) << HF_SHIFT;
+        }
+        if index == CHIP_CLOCK_WORD {
+            for (code, shift) in tuning::chip_clock().zip(CHIP_CLOCK_SHIFTS) {
+                word |= flip(code) << shift;
+            }
+        }
+        let mut bits = 32;
+        while bits != 0 {
+            bits = opaque(bits - 1);
+            // Register 22: bit 0 data, inverted; bits 1 and 2 the two clock phases; bit 5 keeps the chips' own
+            // shift register out of reset.
+            let data = 0x20 | !word & 1;
+            analog::REG22.write(data);
+            analog::REG22.write(data | 4);
+            analog::REG22.write(data);
+            analog::REG22.write(data | 2);
+            word >>= 1;
+        }
+    }
+    analog::REG22.write(0x28);
+    analog::REG22.write(0x20);
+}
+
+/// Writes everything: 10 ms at the clock the boot ROM leaves.
+pub fn chip() {
     analog::REG10.write(0);
     analog::REG11.write(CHIPS_15_4);
-    MOTE.write();
+    write_chain();
 }

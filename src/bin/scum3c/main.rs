@@ -6,10 +6,11 @@
 //! | priority | task | line | does |
 //! |---|---|---|---|
 //! | 4 | `rise`, `fall` | 12, 13 | stamp the light |
+//! | 4 | `watchdog` | SysTick | starts again when nothing is said any more |
 //! | 3 | `classify`, `second` | 4, 10 | pulses to sightings |
 //! | 2 | `radio`, `alarm` | 6, 7 | frames onto the air |
 //! | 1 | `solve` | 5 | sightings to frames |
-//! | 0 | `idle` | | carries the log, sleeps |
+//! | 0 | `idle` | | carries the log, writes what was tuned, sleeps |
 //!
 //! What can go wrong: each module says its own. That unwired lines can be pended is how an M0's NVIC works; it has not
 //! been seen on this chip.
@@ -20,11 +21,14 @@
 mod bring_up;
 mod capture;
 mod fault;
+mod image;
+mod memory;
 #[path = "../mote/mod.rs"]
 mod mote;
 mod pac;
 mod radio;
 mod rf_timer;
+mod tuning;
 mod uart_log;
 
 use lighthouse_mote::identity::{self, Block, Identity};
@@ -53,7 +57,7 @@ mod calib {
 #[used]
 static IDENTITY: Block = {
     let baked = Identity { mote: calib::MOTE, pan: calib::PAN, channel: 0 };
-    Block::new(baked, identity::READS_ADDRESS)
+    Block::new(baked, identity::READS_ADDRESS | identity::READS_CHANNEL)
 };
 
 #[rtic::app(device = crate::pac, peripherals = false)]
@@ -62,11 +66,12 @@ mod app {
 
     use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
+    use crate::image::{self, Image};
     use crate::mote::stages::{Air, Classify, Frames, Sightings, Solve, Tales};
     use crate::pac::Interrupt;
     use crate::radio::Radio;
     use crate::rf_timer::{self, Alarm, SECOND};
-    use crate::{Scum3c, bring_up, fault, uart_log};
+    use crate::{Scum3c, bring_up, fault, tuning, uart_log};
 
     #[shared]
     struct Shared {
@@ -90,22 +95,37 @@ mod app {
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         bring_up::chip();
+        let image = image::check();
         rf_timer::start();
         rf_timer::arm(Alarm::Second, SECOND);
         let crash = fault::last();
         let identity = crate::IDENTITY.read();
-        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", identity.mote, crash);
+        defmt::info!("lighthouse mote {=u16:#06x}, image {}, last crash {}", identity.mote, image, crash);
+        fault::watch();
 
         let (capture, pulses) = capture::start();
         let (to_solve, sightings) = cx.local.sightings.split();
         let (to_tell, tales) = cx.local.tales.split();
         let (to_radio, frames) = cx.local.frames.split();
-        let reset = crash.map_or((Reset::PowerOn, 0), |crash| (crash.reset(), crash.at));
+        let reset = match (image, crash) {
+            (Image::Damaged, _) => (Reset::Image, 0),
+            (_, Some(crash)) => (crash.reset(), crash.at),
+            (_, None) => (Reset::PowerOn, 0),
+        };
         let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
         (
-            Shared { capture, classify: Classify::new(pulses, to_solve, to_tell), radio: Radio::new(frames) },
+            Shared {
+                capture,
+                classify: Classify::new(pulses, to_solve, to_tell),
+                radio: Radio::new(frames, identity.channel),
+            },
             Local { solve: Solve::new(sightings, tales, Frames::new(to_radio, header), reset) },
         )
+    }
+
+    #[task(binds = SysTick, priority = 4)]
+    fn watchdog(_: watchdog::Context) {
+        fault::turn();
     }
 
     #[task(binds = GPIO8, priority = 4, shared = [capture])]
@@ -133,7 +153,9 @@ mod app {
     #[task(binds = SOFT10, priority = 3, shared = [classify])]
     fn second(cx: second::Context) {
         cx.shared.classify.second(&CONFIG, rf_timer::now());
-        rf_timer::arm(Alarm::Second, cx.shared.classify.second_in_ticks().unwrap_or(SECOND));
+        let half_turn = cx.shared.classify.half_turn();
+        tuning::light(half_turn);
+        rf_timer::arm(Alarm::Second, half_turn.map_or(SECOND, rf_timer::second));
         rtic::pend(Interrupt::SOFT5);
     }
 
@@ -141,6 +163,7 @@ mod app {
     fn solve(cx: solve::Context) {
         let done = cx.local.solve.run(&CONFIG);
         if done.passed_on {
+            fault::alive();
             rtic::pend(Interrupt::RF);
         }
         if done.more {
@@ -167,6 +190,7 @@ mod app {
     #[idle]
     fn idle(_: idle::Context) -> ! {
         loop {
+            tuning::apply();
             uart_log::carry();
             cortex_m::asm::wfi();
         }

@@ -129,6 +129,16 @@ impl<const ADDRESS: usize> Reg<ADDRESS> {
     }
 }
 
+/// What the programmer wrote behind the program: the last words of the code RAM (`lighthouse_app.c:26-27`).
+pub mod image {
+    use super::Reg;
+
+    /// Bytes of the program from 0 on; 0 where no programmer wrote it.
+    pub const LENGTH: Reg<0xfff8> = Reg(());
+    /// Their CRC-32.
+    pub const CRC: Reg<0xfffc> = Reg(());
+}
+
 /// The interrupt controller's registers that RTIC's own functions do not reach atomically enough (ARMv6-M ARM, B3.4).
 pub mod nvic {
     use super::Reg;
@@ -150,6 +160,21 @@ pub mod scb {
 
     /// A handler that would return to `idle` sleeps instead.
     pub const SLEEP_ON_EXIT: u32 = 1 << 1;
+}
+
+/// The core's own timer (ARMv6-M ARM, B3.3).
+pub mod syst {
+    use super::Reg;
+
+    /// [`RUN`].
+    pub const CSR: Reg<0xe000_e010> = Reg(());
+    /// Where it starts down from.
+    pub const RVR: Reg<0xe000_e014> = Reg(());
+
+    /// Counting core cycles, with an interrupt at zero.
+    pub const RUN: u32 = 7;
+    /// 24 bits: 1.7 s at 10 MHz.
+    pub const LONGEST: u32 = 0xff_ffff;
 }
 
 /// The radio controller (`memory_map.h:25-79`).
@@ -230,6 +255,20 @@ pub mod uart {
 pub mod analog {
     use super::Reg;
 
+    /// The counters: [`COUNTERS_RESET`], [`COUNTERS_RUN`], [`COUNTERS_STOP`].
+    pub const REG0: Reg<0x5200_0000> = Reg(());
+    /// Counted edges of the 20 MHz oscillator; these read counters, not what was written.
+    pub const COUNT_HF: Reg<0x5210_0000> = Reg(());
+    /// Their upper half.
+    pub const COUNT_HF_HIGH: Reg<0x5214_0000> = Reg(());
+    /// Counted edges of the chip clock.
+    pub const COUNT_2M: Reg<0x5218_0000> = Reg(());
+    /// Their upper half.
+    pub const COUNT_2M_HIGH: Reg<0x521c_0000> = Reg(());
+    /// Counted edges of the radio's oscillator, divided by 960.
+    pub const COUNT_LC: Reg<0x5228_0000> = Reg(());
+    /// Their upper half.
+    pub const COUNT_LC_HIGH: Reg<0x522c_0000> = Reg(());
     /// Oscillator of the radio: fine, mid, coarse.
     pub const REG7: Reg<0x521c_0000> = Reg(());
     /// Oscillator of the radio: the last bit of fine.
@@ -242,4 +281,11 @@ pub mod analog {
     pub const REG16: Reg<0x5240_0000> = Reg(());
     /// The scan chain, bit by bit.
     pub const REG22: Reg<0x5258_0000> = Reg(());
+
+    /// All counters to zero (`radio.c`).
+    pub const COUNTERS_RESET: u32 = 0;
+    /// All counters run.
+    pub const COUNTERS_RUN: u32 = 0x3fff;
+    /// All counters keep what they have.
+    pub const COUNTERS_STOP: u32 = 0x7f;
 }

@@ -13,6 +13,14 @@ use crate::pac::rftimer;
 /// A second by the nominal clock, 10 MHz: how often the classifier is told that time passes, until light tells better.
 pub const SECOND: Span = Span(10_000_000);
 
+/// Half turns in a second: two per turn of a 60 Hz rotor.
+const HALF_TURNS_PER_S: u32 = 120;
+
+/// A second by the rotors.
+pub const fn second(half_turn: Span) -> Span {
+    Span(half_turn.0.saturating_mul(HALF_TURNS_PER_S))
+}
+
 /// The two alarms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Alarm {

@@ -21,6 +21,8 @@ const RISE: u8 = 28;
 const FALL: u8 = 29;
 /// Bring-up, lock and the start of the track are over, seconds.
 const SETTLED_S: f64 = 2.0;
+/// How often the oscillator follows the world's clock, seconds.
+const FOLLOW_S: f64 = 0.1;
 /// A frame this close to a laser's stamp reports that laser, seconds.
 const SAME_S: f64 = 50e-6;
 
@@ -47,7 +49,45 @@ pub(super) struct Whole {
     pub(super) light_to_frame_ms: f64,
     pub(super) light_to_frame_mean_ms: f64,
     pub(super) stack: u32,
+    pub(super) energy: Energy,
     pub(super) profile: Profile,
+}
+
+/// The chip at work, radio or core, watts: as published for it (Kilberg et al., Accurate 3D Lighthouse Localization of a
+/// Low-Power Crystal-Free Single-Chip Mote, JMEMS 29(5), 2020).
+pub(super) const ACTIVE_W: f64 = 2e-3;
+/// The optical receiver, always on, watts (there).
+pub(super) const RECEIVER_W: f64 = 1.5e-6;
+
+/// What a fix takes. Sleep is not in it: nothing is published of that.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Energy {
+    /// Of each fix's share of the time, seconds: the core awake, the radio powered, all of it.
+    pub(super) awake_s: f64,
+    pub(super) radio_s: f64,
+    pub(super) all_s: f64,
+}
+
+impl Energy {
+    /// The core's part, joules.
+    pub(super) fn core_j(&self) -> f64 {
+        self.awake_s * ACTIVE_W
+    }
+
+    /// The radio's, joules: as if the core slept meanwhile, so at most a little too much.
+    pub(super) fn radio_j(&self) -> f64 {
+        self.radio_s * ACTIVE_W
+    }
+
+    /// The receiver's, joules.
+    pub(super) fn receiver_j(&self) -> f64 {
+        self.all_s * RECEIVER_W
+    }
+
+    /// All of it, joules.
+    pub(super) fn fix_j(&self) -> f64 {
+        self.core_j() + self.radio_j() + self.receiver_j()
+    }
 }
 
 /// Where the instructions went.
@@ -88,18 +128,22 @@ pub(super) fn run(elf: &[u8], run: &Run) -> Result<Whole> {
         .map(|event| event.cycle)
         .collect();
 
-    mote.run_until(settled)?;
+    follow(&mut mote, &world, 0.0, SETTLED_S)?;
     mote.machine.core.statistics.clear();
     drop(mote.take_frames());
     let before = mote.load();
+    let powered_before = mote.machine.bus.powered().oscillator;
     let profile = if run.profile { watch(&mut mote, end)? } else { Profile::default() };
     let mut whole = Whole { profile, sweeps: lasers.len() as u64, ..Whole::default() };
-    mote.run_until(end)?;
-    let mut delays = Vec::new();
+    if !run.profile {
+        follow(&mut mote, &world, SETTLED_S, end_s)?;
+    }
+    let (mut delays, mut fixes) = (Vec::new(), 0_u32);
     for sent in mote.take_frames().collect::<Vec<_>>() {
         whole.frames += 1;
         let (_, message) = frame::parse(&sent.bytes).ok().context("a frame that cannot be read")?;
         let frame::Message::Fix(report) = message else { continue };
+        fixes += 1;
         let stamped = mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
         let at = lasers.partition_point(|&laser| laser < stamped);
         let nearest = lasers[at.saturating_sub(1)..].iter().take(2).min_by_key(|laser| laser.abs_diff(stamped));
@@ -110,12 +154,32 @@ pub(super) fn run(elf: &[u8], run: &Run) -> Result<Whole> {
     ensure!(!delays.is_empty(), "no frame left the mote");
     whole.light_to_frame_ms = delays.iter().copied().fold(0.0, f64::max);
     whole.light_to_frame_mean_ms = delays.iter().sum::<f64>() / delays.len() as f64;
+    let refusals = mote.machine.bus.refusals();
+    ensure!(refusals.is_empty(), "the chip refused: {}", refusals[0]);
     whole.load_percent = mote.load().percent_since(&before);
+    let each = |cycles: u64| cycles as f64 / hz / f64::from(fixes);
+    let (after, powered) = (mote.load(), mote.machine.bus.powered().oscillator);
+    whole.energy = Energy {
+        awake_s: each((after.cycles - before.cycles) - (after.asleep - before.asleep)),
+        radio_s: each(powered - powered_before),
+        all_s: each(after.cycles - before.cycles),
+    };
     let records = [RISE, FALL].map(|number| *mote.machine.core.statistics.of(number));
     whole.edge_own_cycles = records.map(|record| record.worst_own_cycles);
     whole.edge_latency = records.map(|record| record.worst_latency);
     whole.stack = stack_top - mote.machine.core.registers.lowest_main_sp();
     Ok(whole)
+}
+
+/// Runs from one true time to another, the oscillator's rate that of the world's clock in each step.
+fn follow(mote: &mut Mote, world: &World, from_s: f64, to_s: f64) -> Result<()> {
+    let mut now_s = from_s;
+    while now_s < to_s {
+        mote.set_hclk_hz(world.clock_hz(now_s + FOLLOW_S / 2.0));
+        now_s = (now_s + FOLLOW_S).min(to_s);
+        mote.run_until(world.cycle(now_s))?;
+    }
+    Ok(())
 }
 
 fn boot(elf: &[u8], run: &Run) -> Result<Mote> {

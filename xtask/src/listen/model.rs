@@ -1198,6 +1198,7 @@ fn condition(health: &Health) -> Condition {
             Reset::Fault => "fault",
             Reset::Panic => "panic",
             Reset::Watchdog => "watchdog",
+            Reset::Image => "damaged_image",
         },
         reset_detail: (health.reset_detail != 0).then_some(health.reset_detail),
         stations,

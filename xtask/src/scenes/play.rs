@@ -102,6 +102,7 @@ pub(super) fn play(elf: &[u8], strings: &'static Table, take: &Take) -> Result<P
     while second < take.scene.length_s && played.halted.is_none() {
         second = (second + LOOK_S).min(take.scene.length_s);
         let cycle = world.cycle(second);
+        mote.set_hclk_hz(world.clock_hz(second - LOOK_S / 2.0));
         while let Some(edge) = waiting.take().or_else(|| world.next_edge()) {
             if edge.cycle > cycle {
                 waiting = Some(edge);

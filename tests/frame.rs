@@ -172,7 +172,7 @@ mod tests {
 
     #[test]
     fn a_code_that_means_nothing_is_named() {
-        for (at, byte) in [(25, 7), (26, 5), (79, 3), (79, 8), (89, 0x80)] {
+        for (at, byte) in [(25, 7), (26, 6), (79, 3), (79, 8), (89, 0x80)] {
             assert_eq!(parse(&changed(emit_health(HEADER, &health()), at, byte)), Err(Reject::Code));
         }
         let mut bytes = [0; ANGLES_LEN];

@@ -46,6 +46,7 @@ mod on_target {
 #[path = "../tests/host"]
 mod on_host {
     mod chain;
+    mod clock;
     mod direction;
     mod nrf52840;
     mod ootx;

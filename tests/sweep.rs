@@ -700,6 +700,35 @@ mod tests {
     }
 
     #[test]
+    fn one_of_a_pair_that_the_room_names_gives_its_sweeps() {
+        let cycle = Cycle::TYPICAL;
+        for lone in [Station::A, Station::B] {
+            let config = Config { lone: Some(lone), ..CONFIG };
+            let mut state = State::default();
+            let mut sweeps = 0;
+            for (truth, pulse) in cycle.pulses(0, 64) {
+                let of = match truth {
+                    Truth::Sync(sync) => sync.station,
+                    Truth::Sweep(station, _) => station,
+                };
+                if of != lone {
+                    continue;
+                }
+                match (truth, step(&config, &mut state, pulse)) {
+                    (Truth::Sync(sync), Some(Light::Sync(seen))) => assert_eq!(sync, seen),
+                    (Truth::Sweep(station, axis), Some(Light::Sweep(sweep))) => {
+                        assert_eq!((sweep.station, sweep.axis), (station, axis));
+                        sweeps += 1;
+                    }
+                    _ => {}
+                }
+            }
+            // Half of the slots are its own; the first few find the cycle.
+            assert!(sweeps >= 20, "{sweeps} of {lone:?}");
+        }
+    }
+
+    #[test]
     fn stations_350_to_450_microseconds_apart_are_a_pair_and_no_others() {
         let cycle = Cycle::TYPICAL;
         for (gap, is_pair) in [(340, false), (350, true), (380, true), (417, true), (450, true), (460, false)] {

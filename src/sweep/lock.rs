@@ -124,6 +124,8 @@ pub(super) struct Lock {
     pub(super) phase: Phase,
     /// What the slot that ended last has left to be asked for.
     rest: Rest,
+    /// 2 where only A exists, which then sweeps in every slot; 0 otherwise.
+    first_slot: u8,
     /// 0 ..= 3; before the place is known, only its lowest bit means something.
     slot: u32,
     units: Units,
@@ -136,17 +138,15 @@ pub(super) struct Lock {
     /// By how much the last flash has moved its prediction.
     moved: i32,
     pub(super) dark_slots: u32,
-    /// Half turns since the half turn was measured last.
-    measured_age: u32,
-    /// log2 of the half turns that the next measurement takes; 1 before the first.
-    base_log2: u32,
+    /// Slots that are yet to end before the half turn is measured, in the one after.
+    unmeasured: u32,
     /// The width of the best sweep that waits for the end of the slot; 0 for none.
     held: u32,
-    /// 2 where only A exists, which then sweeps in every slot; 0 otherwise.
-    first_slot: u32,
+    pub(super) half_turn: HalfTurn,
     /// How far a flash may be from its prediction.
     tolerance: u32,
-    pub(super) half_turn: HalfTurn,
+    /// log2 of the half turns that the next measurement takes; 1 before the first.
+    base_log2: u32,
     rotors: [Rotor; 4],
     held_after: u32,
     held_at: Ticks,
@@ -195,8 +195,8 @@ impl Lock {
         self.first_slot = 0;
         self.forget_place();
         (self.slot, self.moved, self.dark_slots) = (0, 0, 0);
-        self.restart();
         (self.base_log2, self.drift_q8) = (1, 0);
+        self.restart();
         self.tolerance = half_turn.0 >> FRESH_SHIFT;
         if is_lone {
             self.phase = Phase::Train;
@@ -282,16 +282,16 @@ impl Lock {
         } else if !self.advance_oddly(config) {
             return false;
         }
-        if self.measured_age >> self.base_log2 != 0 {
+        if self.unmeasured == 0 {
             self.measure();
         }
-        self.measured_age += 1;
+        self.unmeasured -= 1;
         let turn = Span(self.units.turn);
         for train in &mut self.trains {
             (train.next, train.later) = (train.later, train.next.after(turn));
             train.seen = 0;
         }
-        self.slot = (self.slot + 1) & 3 | self.first_slot;
+        self.slot = (self.slot + 1) & 3 | u32::from(self.first_slot);
         true
     }
 
@@ -369,7 +369,7 @@ impl Lock {
 
     /// From here on the half turn is to be measured anew.
     fn restart(&mut self) {
-        (self.measured, self.measured_age) = (self.at(), 0);
+        (self.measured, self.unmeasured) = (self.at(), 1 << self.base_log2);
     }
 
     /// Where the flashes of this slot are: the sum of both.

@@ -625,7 +625,7 @@ impl Lock {
         let [here, next] = &mut self.votes;
         let slot = self.slot as i32 + if skip { 0 } else { 2 };
         *here += 1 - (slot & 2);
-        *next += 1 - (slot + 1 & 2);
+        *next += 1 - ((slot + 1) & 2);
         // The two other places say the contrary of these.
         let (mut here, mut next) = (*here, *next);
         for slot in self.slot..self.slot + 4 {

@@ -6,7 +6,7 @@ use crate::angle;
 use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT, Truth};
 use crate::pulse::Pulse;
 use crate::sweep::{self, Closed, HALF_TURN_BITS, Light};
-use crate::time::{Span, Ticks};
+use crate::time::Ticks;
 
 /// 0.02 degrees, in units of a 2^20th of 180.
 const BOUND: i64 = 116;

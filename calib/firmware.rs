@@ -3,7 +3,7 @@
 //! What can go wrong: a room that the fixed-point solver cannot hold; it is refused with the number that breaks.
 
 use super::quantise::{self, Baked, Room};
-use super::schema::{Calibration, Error, Estimate, RoomBox, Rotor, Station};
+use super::schema::{Calibration, Error, Estimate, Name, RoomBox, Rotor, Station};
 use super::solver::Calib;
 use super::volume::{reach, shared_view};
 
@@ -127,7 +127,7 @@ pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
     Ok(format!(
         "{provenance}/// The room, as baked from `{file}`.
 pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
-    sweep: lighthouse_mote::sweep::Config::DEFAULT,
+    sweep: lighthouse_mote::sweep::Config {{ lone: {lone}, ..lighthouse_mote::sweep::Config::DEFAULT }},
     ootx: lighthouse_mote::ootx::Config {{ ids: {ids:?}, ..lighthouse_mote::ootx::Config::DEFAULT }},
     angle: lighthouse_mote::angle::Config::new([{}, {}]).with_received({received:?}),
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},
@@ -155,6 +155,11 @@ pub const MOTE: u16 = {id};
         pan = mote.pan,
         id = mote.id,
         received = calibration.received(),
+        lone = match mote.lone {
+            None => "None",
+            Some(Name::A) => "Some(lighthouse_mote::sweep::Station::A)",
+            Some(Name::B) => "Some(lighthouse_mote::sweep::Station::B)",
+        },
         ids = calibration.stations.map(|station| station.id),
     ))
 }

@@ -11,6 +11,9 @@
 //! `id = 3200290360` under `[station.A]` is the serial number that station must have: a mote that hears another one says
 //! so, for the stations may have been swapped.
 //!
+//! `lone = "A"` or `"B"` under `[mote]` says whose flashes they are when only one station of a pair has been seen since
+//! the start; the light does not tell.
+//!
 //! What can go wrong: every complaint names the file, the line, the field and the value.
 
 use std::fmt;
@@ -98,6 +101,17 @@ pub struct Mote {
     pub angle_noise_mrad: Option<f64>,
     /// Whose factory terms are used, where a station says nothing else.
     pub factory: FactorySource,
+    /// Who flashes, if only one station of the pair is seen from the start.
+    pub lone: Option<Name>,
+}
+
+/// Which of the two stations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Name {
+    /// `"A"`: the one that flashes first.
+    A,
+    /// `"B"`.
+    B,
 }
 
 impl Calibration {
@@ -129,6 +143,7 @@ impl Default for Mote {
             max_angle_age_ms: 100.0,
             angle_noise_mrad: None,
             factory: FactorySource::File,
+            lone: None,
         }
     }
 }
@@ -302,6 +317,7 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         "max_angle_age_ms",
         "angle_noise_mrad",
         "factory",
+        "lone",
     ])?;
     let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
         // No larger than `max`, so it fits.
@@ -328,6 +344,7 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         max_angle_age_ms,
         angle_noise_mrad,
         factory: table.optional("factory", |value, at| at.factory_source(value))?.unwrap_or(usual.factory),
+        lone: table.optional("lone", |value, at| at.name(value))?.or(usual.lone),
     })
 }
 
@@ -476,6 +493,14 @@ impl<'a> At<'a> {
             DeValue::String(text) if text == "fix" => Ok(Estimate::Fix),
             DeValue::String(text) if text == "angles" => Ok(Estimate::Angles),
             other => Err(self.error(value, format!("{} is none of \"track\", \"fix\" and \"angles\"", shown(other)))),
+        }
+    }
+
+    fn name(&self, value: &Spanned<DeValue<'_>>) -> Result<Name, Error> {
+        match value.get_ref() {
+            DeValue::String(text) if text == "A" => Ok(Name::A),
+            DeValue::String(text) if text == "B" => Ok(Name::B),
+            other => Err(self.error(value, format!("{} is neither \"A\" nor \"B\"", shown(other)))),
         }
     }
 

@@ -296,6 +296,10 @@ impl Solver {
     /// Not inlined: it comes with one sighting in several, and what it needs would be made ready for all of them.
     #[inline(never)]
     fn report(&mut self, config: &Config, sighting: Sighting, at: Ticks, half_turn: HalfTurn) -> Option<Report> {
+        // Stations that are not where the room's file has them make a wrong place look right.
+        if self.ears.hear_a_stranger(&config.ootx) {
+            return None;
+        }
         let mut report = match config.estimate {
             Estimate::Track => self.tracked(config, at, half_turn)?,
             Estimate::Fix => self.fixed(config, at, half_turn)?,
@@ -498,6 +502,13 @@ impl Ears {
                 ear.at = None;
             });
         }
+    }
+
+    /// Whether a station said that it is not who the room's file expects.
+    fn hear_a_stranger(&self, config: &ootx::Config) -> bool {
+        let is_stranger =
+            |(station, ear): (Station, &Ear)| ear.known.is_some_and(|known| config.is_stranger(station, known.id));
+        [Station::A, Station::B].into_iter().zip(&self.ears).any(is_stranger)
     }
 
     /// Who flashes may be others, from now on.

@@ -47,6 +47,7 @@ mod on_target {
 #[path = "../tests/host"]
 mod on_host {
     mod chain;
+    mod clock;
     mod direction;
     mod docs;
     mod mote;

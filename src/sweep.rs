@@ -340,7 +340,11 @@ pub(crate) fn step_then<T>(
 /// To be called at least once per quarter wrap of the counter: a darkness of a whole wrap must not look short.
 #[inline]
 pub fn expire(config: &Config, state: &mut State, now: Ticks) -> Option<Light> {
-    if state.lock.phase == Phase::Dark || state.lock.follow(config, now) {
+    if state.lock.phase == Phase::Dark {
+        state.search.expire(now);
+        return None;
+    }
+    if state.lock.follow(config, now) {
         return None;
     }
     state.give_up().then_some(Light::Lost)

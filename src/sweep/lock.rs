@@ -6,7 +6,10 @@
 //! microsecond, two in a row that agree as far as they say.
 //!
 //! The fall also tells the data bit: place and skip are known from the cycle, the receiver's bias from the flashes
-//! before.
+//! before. Of a flash that is far off, the width does.
+//!
+//! The half turn is measured over eight of them, from where both stations' flashes are, and taken for what it will be
+//! over the next eight: it drifts as it did.
 //!
 //! What can go wrong: a flash is missing (its place is predicted), a pulse fits no window (it is no light of ours), the
 //! flashes contradict the place in the cycle (after a few, the place is forgotten and found again).
@@ -19,9 +22,16 @@ use crate::time::{Span, Ticks};
 
 /// log2 of the half turns between two measurements of the half turn: from 1 up to this, one more each time. A longer
 /// base costs less and says more.
-const BASE_LOG2: u32 = 4;
+const BASE_LOG2: u32 = 3;
+/// The most that one measurement changes the half turn: half turn >> this, 0.02 %. A clock that drifts 1 % a minute is a
+/// tenth of that off.
+const OFF_SHIFT: u32 = 12;
+/// The drift is learnt from what it did not foretell, 1/2^5 of it each time: within 2 s, and hardly any noise with it.
+const DRIFT_SHIFT: u32 = 5;
 /// The most that one flash moves its prediction: half turn >> this, 0.5 us, 0.011 degrees.
 const SLEW_SHIFT: u32 = 14;
+/// By how much more a flash may be off for each slot without any: half turn >> this, 4 us, a rate that is 0.05 % off.
+const WIDER_SHIFT: u32 = 11;
 /// How far a flash may be from its prediction: half turn >> this, 4 us; more where the prediction is old.
 const TOLERANCE_SHIFT: u32 = 11;
 /// The same for a lock that is new: 32 us.
@@ -32,8 +42,9 @@ const SURE_SLOTS: u32 = 4;
 const CONTRADICTION: u32 = 3;
 /// At this much doubt the place is forgotten: no single pulse, nor any four, get there.
 const DOUBT: u32 = 16;
-/// Slots with both flashes, one after the other, whose skips must make sense before the place is believed.
-const PATTERN: u32 = 4;
+/// By how many skips one place in the cycle must lead the next likely before it is believed: two of each rotor, and two
+/// more for each that contradicts. Four slots in a row have as many; lost flashes only make it take longer.
+const LEAD: i32 = 4;
 /// Slots with one flash each and without any skip, until the station is believed to be the only one. Data bits that
 /// look like that in a pair of stations must repeat 0011 all the while.
 const SINGLE: u32 = 12;
@@ -85,8 +96,8 @@ struct Train {
     /// By how much more its last flash was lengthened than usual, and how much that changes.
     spread: i32,
     noise: u32,
-    /// How far its last flash was off.
-    off: i32,
+    /// How far the last flash of each rotor was off, by the lowest bit of the slot.
+    off: [i32; 2],
     /// Flashes understood.
     syncs: u32,
 }
@@ -113,6 +124,8 @@ pub(super) struct Lock {
     pub(super) phase: Phase,
     /// What the slot that ended last has left to be asked for.
     rest: Rest,
+    /// 2 where only A exists, which then sweeps in every slot; 0 otherwise.
+    first_slot: u8,
     /// 0 ..= 3; before the place is known, only its lowest bit means something.
     slot: u32,
     units: Units,
@@ -125,31 +138,29 @@ pub(super) struct Lock {
     /// By how much the last flash has moved its prediction.
     moved: i32,
     pub(super) dark_slots: u32,
-    /// Half turns since the half turn was measured last.
-    measured_age: u32,
-    /// log2 of the half turns that the next measurement takes; 1 before the first.
-    base_log2: u32,
+    /// Slots that are yet to end before the half turn is measured, in the one after.
+    unmeasured: u32,
     /// The width of the best sweep that waits for the end of the slot; 0 for none.
     held: u32,
-    /// 2 where only A exists, which then sweeps in every slot; 0 otherwise.
-    first_slot: u32,
+    pub(super) half_turn: HalfTurn,
     /// How far a flash may be from its prediction.
     tolerance: u32,
-    pub(super) half_turn: HalfTurn,
+    /// log2 of the half turns that the next measurement takes; 1 before the first.
+    base_log2: u32,
     rotors: [Rotor; 4],
     held_after: u32,
     held_at: Ticks,
     measured: Ticks,
-    measured_of: u32,
+    /// By how much the half turn grows from one measurement to the next, Q8; 0 until two over the full base.
+    drift_q8: i32,
     /// The sweep that was chosen when its slot ended.
     late_slot: u32,
     late_after: u32,
     late_at: Ticks,
     // What the pattern is read from.
     slots: u32,
-    /// The newest skips, one bit per slot, and how many of them there are in a row.
-    skips: u32,
-    run: u32,
+    /// The skips that agree with `slot`, less those that do not; the same for the slot after it.
+    votes: [i32; 2],
     ever_skipped: bool,
     widths: [u32; 2],
     narrowest: [u32; 2],
@@ -184,8 +195,8 @@ impl Lock {
         self.first_slot = 0;
         self.forget_place();
         (self.slot, self.moved, self.dark_slots) = (0, 0, 0);
-        (self.measured, self.measured_of, self.measured_age) = (b.start, u32::from(!is_lone), 0);
-        self.base_log2 = 1;
+        (self.base_log2, self.drift_q8) = (1, 0);
+        self.restart();
         self.tolerance = half_turn.0 >> FRESH_SHIFT;
         if is_lone {
             self.phase = Phase::Train;
@@ -193,7 +204,9 @@ impl Lock {
             self.narrowest = self.widths;
             self.widest = self.widths;
         } else {
+            self.slot = 3;
             self.compare([older_a, older_b]);
+            self.slot = 0;
             self.compare([a.width.0, b.width.0]);
         }
     }
@@ -269,17 +282,16 @@ impl Lock {
         } else if !self.advance_oddly(config) {
             return false;
         }
-        // Nobody flashed in a slot that counts as dark.
-        if self.measured_age >> self.base_log2 != 0 && self.dark_slots == 0 {
+        if self.unmeasured == 0 {
             self.measure();
         }
-        self.measured_age += 1;
+        self.unmeasured -= 1;
         let turn = Span(self.units.turn);
         for train in &mut self.trains {
             (train.next, train.later) = (train.later, train.next.after(turn));
             train.seen = 0;
         }
-        self.slot = (self.slot + 1) & 3 | self.first_slot;
+        self.slot = (self.slot + 1) & 3 | u32::from(self.first_slot);
         true
     }
 
@@ -295,7 +307,7 @@ impl Lock {
                 return false;
             }
             if self.dark_slots > SURE_SLOTS {
-                let wider = self.tolerance + (half_turn >> SLEW_SHIFT) * 2;
+                let wider = self.tolerance + (half_turn >> WIDER_SHIFT);
                 self.tolerance = wider.min(half_turn >> config.window_shift);
             }
         } else {
@@ -305,15 +317,12 @@ impl Lock {
                 self.tolerance = (self.tolerance - self.tolerance / 4).max(base);
             }
         }
-        if seen != [1; 2] {
-            if self.dark_slots == 0 {
-                // The hidden station moves with the other.
-                let hidden = &mut self.trains[seen[0] as usize & 1].next;
-                *hidden = Ticks(hidden.0.wrapping_add_signed(self.moved));
-            }
-            if self.dark_slots != 0 || self.phase == Phase::Pair {
-                self.run = 0;
-            }
+        // What is hidden moves with what was seen last.
+        for train in self.trains.iter_mut().filter(|train| train.seen == 0) {
+            train.next = Ticks(train.next.0.wrapping_add_signed(self.moved));
+        }
+        if self.dark_slots != 0 {
+            self.moved = 0;
         }
         if self.phase == Phase::Pair {
             self.slots += 1;
@@ -329,32 +338,43 @@ impl Lock {
         self.near = if self.phase == Phase::Locked && self.tolerance <= base { base + 1 } else { 0 };
     }
 
-    /// Learns the half turn from two flashes of one station that are whole cycles apart.
+    /// Learns the half turn from where the flashes of both stations are and were, seen or not: a flash that is missing has
+    /// moved with the others.
     #[cold]
     #[inline(never)]
     fn measure(&mut self) {
         let base_log2 = self.base_log2;
-        // The one that is seen, or the clearly sharper one.
-        let mut of = self.measured_of & 1;
-        let [train, other] = [self.trains[of as usize], self.trains[of as usize ^ 1]];
-        if train.seen == 0 || other.seen != 0 && other.noise < train.noise / 2 {
-            of ^= 1;
-        }
-        let at = self.trains[of as usize].next;
-        if self.measured_age == 1 << base_log2 && self.measured_of == of {
-            let length = at.since(self.measured).0;
-            // 2^n half turns in ticks are one half turn in Qn.
-            let seen_q8 = length << (8 - base_log2);
+        let is_sure = base_log2 == BASE_LOG2;
+        if is_sure || self.dark_slots == 0 {
+            // 2^n half turns in ticks are one half turn in Qn, and both stations count.
+            let seen_q8 = self.at().since(self.measured).0 << (7 - base_log2);
             let ticks_q8 = self.half_turn.ticks_q8();
-            let off = seen_q8.wrapping_sub(ticks_q8) as i32;
-            self.learn_half_turn(ticks_q8.wrapping_add_signed(off >> u32::from(base_log2 == BASE_LOG2)));
+            let mut off = seen_q8.wrapping_sub(ticks_q8) as i32;
+            if is_sure {
+                let most = (ticks_q8 >> OFF_SHIFT) as i32;
+                off = off.clamp(-most, most);
+                // What was seen was so half a base ago, and is to hold for the next.
+                self.drift_q8 += off >> DRIFT_SHIFT;
+                off += self.drift_q8;
+            }
+            self.learn_half_turn(ticks_q8.wrapping_add_signed(off));
             self.base_log2 = (base_log2 + 1).min(BASE_LOG2);
             if self.phase == Phase::Placed {
                 self.phase = Phase::Locked;
             }
         }
-        (self.measured, self.measured_of, self.measured_age) = (at, of, 0);
+        self.restart();
         self.set_near();
+    }
+
+    /// From here on the half turn is to be measured anew.
+    fn restart(&mut self) {
+        (self.measured, self.unmeasured) = (self.at(), 1 << self.base_log2);
+    }
+
+    /// Where the flashes of this slot are: the sum of both.
+    fn at(&self) -> Ticks {
+        Ticks(self.trains[0].next.0.wrapping_add(self.trains[1].next.0))
     }
 
     /// The flash that a pulse is, of the slot that [`Lock::follow`] has found: whose, and how long after it should.
@@ -416,7 +436,7 @@ impl Lock {
         }
         train.seen = 1;
         train.syncs += 1;
-        let earlier = core::mem::replace(&mut train.off, off);
+        let earlier = core::mem::replace(&mut train.off[self.slot as usize & 1], off);
         let slew = (self.units.half_turn >> SLEW_SHIFT) as i32;
         let mut moved = (off + 1) >> 1;
         if far > 2 * slew as u32 && (off ^ earlier < 0 || earlier.unsigned_abs() <= 2 * slew as u32) {
@@ -447,8 +467,14 @@ impl Lock {
         width: u32,
     ) -> Option<bool> {
         let Units { half_turn, step, .. } = self.units;
-        let (data, fall) = self.read(station, rise, width);
         let base = half_turn >> TOLERANCE_SHIFT;
+        let is_late = self.trains[station as usize].noise > base;
+        // Wherever a flash is, its width tells the bit, unless its station is seen to come on late; or that is not known
+        // yet, as long as no drift is.
+        let from = if is_late || self.drift_q8 == 0 { rise } else { 0 };
+        let (data, to) = self.read(station, from, width);
+        let spread = to - from;
+        let fall = rise + spread;
         let is_new = self.tolerance > base;
         let is_placed = self.is_placed();
         let train = &mut self.trains[station as usize];
@@ -460,7 +486,6 @@ impl Lock {
             self.learn(config, counts, station, rise, width);
             return None;
         }
-        let spread = fall - rise;
         let bias_q3 = train.bias_q3;
         if is_new || self.slot == station as u32 {
             train.hear(spread, step, is_new);
@@ -468,17 +493,16 @@ impl Lock {
         let learnt_q3 = core::mem::replace(&mut train.bias_q3, bias_q3);
         let mut width_off = spread.unsigned_abs();
         let mut off = if fall.unsigned_abs() < rise.unsigned_abs() { fall } else { rise };
-        let mut earlier = train.off;
-        let is_late = train.noise > base;
+        let mut earlier = train.off[self.slot as usize & 1];
         if is_late {
             off = self.settle(station, rise, fall);
             width_off = 0;
             earlier = off;
         }
         let train = &mut self.trains[station as usize];
-        train.off = off;
+        train.off[self.slot as usize & 1] = off;
         let mut moved = off;
-        if off.unsigned_abs() > self.tolerance || fall.unsigned_abs() > (step * 3) as u32 >> 1 {
+        if off.unsigned_abs() > self.tolerance || to.unsigned_abs() > (step * 3) as u32 >> 1 {
             // Two in a row that say the same, of the right width, are where the flashes are now.
             if width_off > step as u32 || off.abs_diff(earlier) > base {
                 counts.turn_away(Cause::Misfit);
@@ -525,7 +549,7 @@ impl Lock {
     #[inline(never)]
     fn forget_place(&mut self) {
         self.phase = if self.first_slot == 0 { Phase::Pair } else { Phase::Train };
-        (self.near, self.first_slot, self.slots, self.run, self.doubt) = (0, 0, 0, 0, 0);
+        (self.near, self.first_slot, self.slots, self.votes, self.doubt) = (0, 0, 0, [0; 2], 0);
         (self.narrowest, self.widest, self.ever_skipped) = ([u32::MAX; 2], [0; 2], false);
         (self.held, self.chosen, self.rest) = (0, 0, Rest::Nothing);
         for rotor in &mut self.rotors {
@@ -561,14 +585,12 @@ impl Lock {
         }
     }
 
-    /// Holds the two flashes of a slot against each other: only one of them skips.
+    /// Holds the two flashes of a slot against each other: only one of them skips. Alike, they say nothing.
     #[inline(never)]
     fn compare(&mut self, [a, b]: [u32; 2]) {
-        if a.abs_diff(b) <= self.units.step as u32 / 2 {
-            self.run = 0;
-            return;
+        if a.abs_diff(b) > self.units.step as u32 / 2 {
+            self.note_skip(a > b);
         }
-        self.note_skip(a > b);
     }
 
     /// Holds the flashes of a rotor against each other: it skips every second turn, or it is alone and never does.
@@ -584,7 +606,6 @@ impl Lock {
             self.note_skip(width > earlier);
             return;
         }
-        self.run = 0;
         if self.ever_skipped || self.slots < SINGLE {
             return;
         }
@@ -597,26 +618,28 @@ impl Lock {
         }
     }
 
-    /// Takes one more skip of A, or of a lone train, and looks for the cycle in the latest: skip, skip, sweep, sweep.
+    /// Takes one more skip of A, or of a lone train: it skips in the slots 0 and 1 and sweeps in 2 and 3, whichever those
+    /// are.
     #[inline(never)]
     fn note_skip(&mut self, skip: bool) {
-        self.skips = self.skips << 1 | u32::from(skip);
-        self.run += 1;
-        if self.run < PATTERN {
-            return;
-        }
-        let slot = match self.skips & 0xf {
-            0b1001 => 0,
-            0b0011 => 1,
-            0b0110 => 2,
-            0b1100 => 3,
-            _ => return,
-        };
-        if self.phase == Phase::Pair {
-            self.lock(slot);
-        } else {
-            self.set_slot(slot);
-            self.phase = Phase::Nameless;
+        let [here, next] = &mut self.votes;
+        let slot = self.slot as i32 + if skip { 0 } else { 2 };
+        *here += 1 - (slot & 2);
+        *next += 1 - ((slot + 1) & 2);
+        // The two other places say the contrary of these.
+        let (mut here, mut next) = (*here, *next);
+        for slot in self.slot..self.slot + 4 {
+            if here - next.abs() >= LEAD {
+                self.votes = [0; 2];
+                if self.phase == Phase::Pair {
+                    self.lock(slot & 3);
+                } else {
+                    self.set_slot(slot & 3);
+                    self.phase = Phase::Nameless;
+                }
+                return;
+            }
+            (here, next) = (next, -here);
         }
     }
 
@@ -655,6 +678,7 @@ impl Lock {
                 (a.seen, b.seen) = (0, a.seen);
             }
         }
+        self.restart();
         // B skips where A sweeps.
         self.lock(if station == Station::A { self.slot } else { self.slot ^ 2 });
     }

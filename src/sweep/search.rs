@@ -66,6 +66,17 @@ impl Search {
         self.misspaced = false;
     }
 
+    /// Forgets pulses that are no light any more: when the counter has wrapped they would look new.
+    pub(super) fn expire(&mut self, now: Ticks) {
+        if self.is_over(now) {
+            self.clear();
+        }
+    }
+
+    fn is_over(&self, now: Ticks) -> bool {
+        now.since(self.pulse(0).start).0 > NO_LIGHT
+    }
+
     /// The pulse that came `age` before the newest.
     pub(super) fn pulse(&self, age: usize) -> Pulse {
         self.pulses[self.newest.wrapping_sub(age) % SEARCH_DEPTH]
@@ -115,7 +126,7 @@ impl Search {
     /// What the pulses of late look like. Asked for rarely, so that no pulse pays for it.
     pub(super) fn status(&self, now: Ticks) -> Status {
         let newest = self.pulse(0).start;
-        if self.len == 0 || now.since(newest).0 > NO_LIGHT {
+        if self.len == 0 || self.is_over(now) {
             return Status::NoLight;
         }
         if self.misspaced {

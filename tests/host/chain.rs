@@ -294,12 +294,38 @@ fn health_counts_what_was_played() {
     assert_eq!(now.strays - then.strays, 6);
     assert_eq!((now.disbelieved, now.geometry, now.mismatch), (0, 0, 0));
     assert_eq!(after.lock, Lock::Locked);
-    // 10.82 MHz / 120 in Q8, to one tick in the 16 half turns that it is measured over.
-    assert!(after.half_turn_q8.abs_diff(10_820_000 / 15 * 32) <= 16 + 10_820_000 % 15, "{}", after.half_turn_q8);
+    // 10.82 MHz / 120 in Q8, to one tick in the eight half turns that it is measured over.
+    assert!(after.half_turn_q8.abs_diff(10_820_000 / 15 * 32) <= 32 + 10_820_000 % 15, "{}", after.half_turn_q8);
     for (station, bias) in after.stations.iter().zip([25, -12]) {
         // 2: a tick is 0.28 of it, and the mean over eight flashes wanders by as much.
         assert!(station.width_bias.abs_diff(bias) <= 2, "{} for {bias}", station.width_bias);
         assert_eq!(station.bad, 0);
+    }
+}
+
+#[test]
+fn stations_that_are_swapped_are_said_and_give_no_place() {
+    let cycle = Cycle { sweep_after: SWEEP_AFTER, ..Cycle::TYPICAL };
+    let pulses = light(&cycle, 0, 1200, [0; 2], as_is);
+    for (ids, is_swapped) in [([SAID[0].id, SAID[1].id], false), ([SAID[1].id, SAID[0].id], true)] {
+        let config =
+            Config { ootx: ootx::Config { ids: ids.map(Some), ..ootx::Config::DEFAULT }, ..config(Estimate::Track) };
+        let mut chain = Chain::default();
+        // Rays that meet, as in a room where each station stands where the other's image would: only the numbers tell.
+        let mut reports = 0;
+        for edge in edges(&pulses) {
+            // Two frames of 358 bits: by then both have said who they are.
+            let is_late = edge.at.since(cycle.ticks(0)) > cycle.span(720 * 400_000);
+            reports += u32::from(chain.step(&config, edge).is_some() && is_late);
+        }
+        let health = chain.health(&config, end(&pulses));
+        assert_eq!(health.stations.map(|station| station.is_stranger), [is_swapped; 2]);
+        assert_eq!(health.lock, Lock::Locked);
+        if is_swapped {
+            assert_eq!(reports, 0);
+        } else {
+            assert!(reports > 20, "{reports}");
+        }
     }
 }
 

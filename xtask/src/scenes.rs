@@ -63,12 +63,7 @@ const OUT: &str = "target/scenes";
 const MOST_WRONG: usize = 20;
 
 /// Promises that the firmware breaks as it is, by scene, with the reason.
-const UNTIL_MET: [(&str, Promise); 2] = [
-    // While the strobe covers both flashes of one half of each turn, their place is known from before; when they are
-    // back the cycle follows them at a distance that grows. All angles of that rotor are off by the same, so the rays meet.
-    ("strobe-60hz-1ms", Promise::NoWrongGood),
-    ("strobe-60hz-1ms", Promise::Recovery),
-];
+const UNTIL_MET: [(&str, Promise); 0] = [];
 
 /// Promises that no mote with one photodiode and two stations can keep, by scene.
 const LIMITS: [(&str, Promise); 2] = [

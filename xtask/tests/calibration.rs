@@ -55,7 +55,7 @@ fn a_key_that_nobody_knows_is_refused() {
     assert_eq!(
         complaint(&with("pan = ", "pam = ")),
         format!(
-            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, max_angle_age_ms, angle_noise_mrad, factory"
+            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, max_angle_age_ms, angle_noise_mrad, factory, lone"
         )
     );
 }
@@ -162,4 +162,19 @@ fn a_serial_number_is_32_bits() {
         complaint(&with("[station.A]", "[station.A]\nid = 4294967296")),
         format!("room.toml:{line}: station.A.id: 4294967296 is no whole number in 0 ..= 4294967295")
     );
+}
+
+#[test]
+fn a_lone_station_is_named_by_the_room_or_by_nobody() {
+    let source = |text: &str| {
+        let calibration = schema::read("room.toml", text).expect("a good file");
+        firmware::source("room.toml", &calibration).expect("a room that can be held")
+    };
+    assert!(source(GOOD).contains("lone: None"));
+    let named = with("[mote]", "[mote]\nlone = \"B\"");
+    assert!(source(&named).contains("lone: Some(lighthouse_mote::sweep::Station::B)"));
+    let own = Mote::default().with("own", "lone = \"A\"").expect("a good line");
+    assert_eq!(own.lone, Some(schema::Name::A));
+    let said = complaint(&with("[mote]", "[mote]\nlone = \"C\""));
+    assert!(said.ends_with("mote.lone: \"C\" is neither \"A\" nor \"B\""), "{said}");
 }

@@ -51,8 +51,8 @@ struct List {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Source {
-    /// The words after `cargo xtask`.
-    command: Vec<String>,
+    /// One after the other: the words after `cargo xtask`.
+    commands: Vec<String>,
     /// The JSON file it writes.
     summary: String,
     /// What it cannot do without, if there is anything.
@@ -164,11 +164,14 @@ impl Source {
     fn numbers(&self, as_left: bool) -> Result<Value> {
         if !as_left {
             let own = std::env::current_exe().context("cannot find this program")?;
-            run(Command::new(own).args(&self.command))?;
+            for command in &self.commands {
+                run(Command::new(&own).args(command.split_whitespace()))?;
+            }
         }
         let path = root().join(&self.summary);
-        let text = std::fs::read_to_string(&path)
-            .with_context(|| format!("{}; `cargo xtask {}` writes it", self.summary, self.command.join(" ")))?;
+        let text = std::fs::read_to_string(&path).with_context(|| {
+            format!("{}; `cargo xtask {}` writes it", self.summary, self.commands.join("`, then `cargo xtask "))
+        })?;
         serde_json::from_str(&text).with_context(|| self.summary.clone())
     }
 }

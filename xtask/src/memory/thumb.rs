@@ -48,7 +48,7 @@ fn narrow(code: u16, at: u32, before: &[u16], word: impl Fn(u32) -> Option<u32>)
                 // Those between are narrow, or the place is not known.
                 let between = before.iter().rev().take(back).all(|between| length(*between) == 2);
                 let from = at - 2 * (back as u32 + 1);
-                between.then(|| word((from + 4 & !3) + u32::from(code & 0xff) * 4)).flatten()
+                between.then(|| word(((from + 4) & !3) + u32::from(code & 0xff) * 4)).flatten()
             });
             match value.map(|value| value as i32) {
                 Some(value) if value < 0 => Effect::Takes(value.unsigned_abs()),

@@ -11,7 +11,7 @@ use xtask::calib::{self, Calibration};
 use xtask::flash::{self, Board, Workshop};
 use xtask::listen;
 
-use crate::process::{cargo, root, run};
+use crate::process::{cargo, root, run, run_aside};
 use crate::setup;
 
 /// The room that is baked when nobody names one.
@@ -38,7 +38,7 @@ pub(crate) fn flash(arguments: &flash::Arguments) -> Result<()> {
         check: &|calib| room(calib).map(|_| ()),
         build: &|board, calib| match board {
             Board::Scum3c => scum3c(calib, ""),
-            Board::Nrf52840 => read(&build_for(setup::CORTEX_M4F, board.name(), calib, "")?),
+            Board::Nrf52840 => read(&build_for(setup::CORTEX_M4F, board.name(), calib, "", run)?),
         },
     };
     flash::flash(arguments, &workshop, &mut std::io::stdin().lock())
@@ -46,7 +46,8 @@ pub(crate) fn flash(arguments: &flash::Arguments) -> Result<()> {
 
 /// Listens, to simulated motes with the image that is flashed if to nothing else.
 pub(crate) fn listen(arguments: &listen::Arguments) -> Result<()> {
-    listen::listen(arguments, &listen::Workshop { root: root(), build: &|calib| scum3c(calib, "") })
+    let build = |calib: &Path| read(&build_for(setup::CORTEX_M0, "scum3c", calib, "", run_aside)?);
+    listen::listen(arguments, &listen::Workshop { root: root(), build: &build })
 }
 
 fn read(elf: &Path) -> Result<Vec<u8>> {
@@ -55,11 +56,17 @@ fn read(elf: &Path) -> Result<Vec<u8>> {
 
 /// Builds the binary `name`, whose feature has the same name, as [`scum3c`] does; returns where it lies.
 pub(crate) fn build(name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
-    build_for(setup::CORTEX_M0, name, calib, mote)
+    build_for(setup::CORTEX_M0, name, calib, mote, run)
 }
 
-/// The same for a processor of another kind.
-pub(crate) fn build_for(target: &str, name: &str, calib: &Path, mote: &str) -> Result<PathBuf> {
+/// The same for a processor of another kind, by `run`.
+pub(crate) fn build_for(
+    target: &str,
+    name: &str,
+    calib: &Path,
+    mote: &str,
+    run: fn(&mut Command) -> Result<()>,
+) -> Result<PathBuf> {
     setup::target(target)?;
     let arguments = ["build", "--release", "--bin", name, "--features", name, "--target", target];
     let calib = calib.canonicalize().with_context(|| calib.display().to_string())?;

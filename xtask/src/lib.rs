@@ -5,7 +5,7 @@
 //! against the truth and against [`reference`], and [`output`] writes it all down, with the help
 //! of [`svg`] and [`pcap`].
 //!
-//! [`flash`] is the other way out: from a build to a chip.
+//! [`flash`] is the other way out: from a build to a chip. [`listen`] is the way back in: from the air to the desk.
 
 pub mod calib;
 pub mod calibrate;

@@ -14,7 +14,7 @@ use anyhow::{Context, Result, bail, ensure};
 use object::read::elf::ElfFile32;
 use object::{LittleEndian, Object, ObjectSection, ObjectSymbol, SymbolKind};
 
-use crate::process::root;
+use crate::process::{root, run};
 use crate::{bench, firmware, setup};
 use stack::Bound;
 
@@ -138,7 +138,7 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
 }
 
 fn image(board: &Board, calib: &Path) -> Result<Vec<u8>> {
-    let elf = firmware::build_for(board.target, board.name, calib, "")?;
+    let elf = firmware::build_for(board.target, board.name, calib, "", run)?;
     std::fs::read(&elf).with_context(|| elf.display().to_string())
 }
 

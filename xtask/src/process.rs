@@ -32,10 +32,19 @@ pub(crate) fn run_and_read(command: &mut Command, read: impl FnMut(&str)) -> Res
     start(command.stdout(Stdio::piped()), read)
 }
 
-fn start(command: &mut Command, mut read: impl FnMut(&str)) -> Result<()> {
+/// Runs a command for a verb whose standard output is for other programs: what is printed goes to the standard error.
+pub(crate) fn run_aside(command: &mut Command) -> Result<()> {
+    eprintln!("$ {}", command_line(command));
+    wait(command.stdout(Stdio::null()), |_| {})
+}
+
+fn start(command: &mut Command, read: impl FnMut(&str)) -> Result<()> {
+    println!("$ {}", command_line(command));
+    wait(command, read)
+}
+
+fn wait(command: &mut Command, mut read: impl FnMut(&str)) -> Result<()> {
     let line = command_line(command);
-    // Not where `listen --json` writes.
-    eprintln!("$ {line}");
     let mut child =
         command.current_dir(root()).stdin(Stdio::null()).spawn().with_context(|| format!("cannot start {line}"))?;
     if let Some(stdout) = child.stdout.take() {

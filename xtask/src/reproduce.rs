@@ -26,7 +26,7 @@ pub(crate) fn reproduce() -> Result<()> {
     let copy = elsewhere.path().join("another/place");
     copy_sources(&copy)?;
     for (board, target) in BOARDS {
-        let here = image(&firmware::build_for(target, board, Path::new(DEFAULT_CALIB), "")?)?;
+        let here = image(&firmware::build_for(target, board, Path::new(DEFAULT_CALIB), "", run)?)?;
         let arguments = ["build", "--release", "--bin", board, "--features", board, "--target", target];
         let built = copy.join("built");
         run(cargo(&arguments).arg("--manifest-path").arg(copy.join("Cargo.toml")).env("CARGO_TARGET_DIR", &built))?;

@@ -16,6 +16,7 @@ mod reason;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::time::Instant;
@@ -23,6 +24,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 use defmt_decoder::Table;
 use serde_json::{Value, json};
+use sim::world::Scene;
 use xtask::calib::Calibration;
 use xtask::output::{self, Run};
 use xtask::reference::Room;
@@ -75,10 +77,58 @@ const LIMITS: [(&str, Promise); 2] = [
 ];
 
 /// An image and the strings of its log.
-#[derive(Clone, Copy)]
-struct Image<'a> {
-    elf: &'a [u8],
+struct Image {
+    elf: Vec<u8>,
     strings: &'static Table,
+}
+
+impl Image {
+    fn build(calib: &Path) -> Result<Self> {
+        let elf = firmware::scum3c(calib, "")?;
+        let strings = Log::strings(&elf)?;
+        Ok(Self { elf, strings })
+    }
+
+    fn play(&self, take: &Take) -> Result<Played> {
+        play(&self.elf, self.strings, take)
+    }
+}
+
+/// The firmware of the default room, and of the same whose file names the stations' serial numbers.
+struct Images {
+    plain: Image,
+    knows_ids: Image,
+}
+
+impl Images {
+    fn build(calib: &Path) -> Result<Self> {
+        let named = named_room(calib)?;
+        Ok(Self { knows_ids: Image::build(&named)?, plain: Image::build(calib)? })
+    }
+
+    fn play(&self, take: &Take) -> Result<Played> {
+        if take.knows_ids { self.knows_ids.play(take) } else { self.plain.play(take) }
+    }
+}
+
+/// Writes the room of `calib` with the serial numbers that the simulated stations send; where it lies.
+fn named_room(calib: &Path) -> Result<PathBuf> {
+    let text = std::fs::read_to_string(calib).with_context(|| calib.display().to_string())?;
+    let scene = Scene::default();
+    let named = [("A", &scene.station_a), ("B", &scene.station_b)].iter().fold(text, |text, (name, station)| {
+        text.replacen(&format!("[station.{name}]\n"), &format!("[station.{name}]\nid = {}\n", station.info.id), 1)
+    });
+    let folder = root().join(OUT);
+    std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+    let path = folder.join("named.toml");
+    std::fs::write(&path, named).with_context(|| path.display().to_string())?;
+    let room = firmware::room(&path)?;
+    ensure!(
+        room.stations.iter().all(|station| station.id.is_some()),
+        "{}: a station has no place for its number",
+        calib.display()
+    );
+    Ok(path)
 }
 
 /// Runs the scenes, prints, compares.
@@ -96,14 +146,12 @@ pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
         let named = all.iter().find(|named| named.name == *name);
         let named =
             named.with_context(|| format!("no scene is called {name}; `cargo xtask scenes --list` names them"))?;
-        let elf = firmware::scum3c(&calib, "")?;
-        return alone(Image { elf: &elf, strings: Log::strings(&elf)? }, named, &calibration);
+        return alone(&Images::build(&calib)?, named, &calibration);
     }
-    let elf = firmware::scum3c(&calib, "")?;
-    let image = Image { elf: &elf, strings: Log::strings(&elf)? };
+    let images = Images::build(&calib)?;
     let started = Instant::now();
     println!("{HEADING}");
-    let figures = judge_all(image, &all, every_s(&calibration), |name, figures| println!("{}", line(name, figures)))?;
+    let figures = judge_all(&images, &all, every_s(&calibration), |name, figures| println!("{}", line(name, figures)))?;
     let curves = curves::measure()?;
     println!("{curves}");
     let mote_s: f64 = all.iter().flat_map(|named| &named.takes).map(|take| take.scene.length_s).sum();
@@ -179,7 +227,12 @@ fn on_all_cores<T: Sync, R: Send>(
 }
 
 /// Judges all scenes; says each as soon as it and all before it are through.
-fn judge_all(image: Image, all: &[Named], every_s: f64, mut say: impl FnMut(&str, &Figures)) -> Result<Vec<Figures>> {
+fn judge_all(
+    images: &Images,
+    all: &[Named],
+    every_s: f64,
+    mut say: impl FnMut(&str, &Figures),
+) -> Result<Vec<Figures>> {
     let jobs: Vec<(usize, &Take)> =
         all.iter().enumerate().flat_map(|(n, named)| named.takes.iter().map(move |take| (n, take))).collect();
     let mut waiting: BTreeMap<usize, Vec<(usize, Played)>> = BTreeMap::new();
@@ -187,7 +240,7 @@ fn judge_all(image: Image, all: &[Named], every_s: f64, mut say: impl FnMut(&str
     let mut said = 0;
     on_all_cores(
         &jobs,
-        |(_, take)| play(image.elf, image.strings, take),
+        |(_, take)| images.play(take),
         |job, played| {
             let (scene, _) = jobs[job];
             let named = &all[scene];
@@ -211,11 +264,11 @@ fn judge_all(image: Image, all: &[Named], every_s: f64, mut say: impl FnMut(&str
 }
 
 /// Plays one scene and writes its worst take as `run` writes a run.
-fn alone(image: Image, named: &Named, calibration: &Calibration) -> Result<()> {
+fn alone(images: &Images, named: &Named, calibration: &Calibration) -> Result<()> {
     let mut all: Vec<Option<Played>> = named.takes.iter().map(|_| None).collect();
     on_all_cores(
         &named.takes,
-        |take| play(image.elf, image.strings, take),
+        |take| images.play(take),
         |n, played| {
             all[n] = Some(played);
             Ok(())

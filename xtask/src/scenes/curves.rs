@@ -24,11 +24,9 @@ use sim::world::station::Station;
 use xtask::svg::{Curve, draw_curves};
 
 use super::list::Take;
-use super::play::{Played, play};
+use super::play::Played;
 use super::{Image, on_all_cores};
-use crate::firmware;
 use crate::process::root;
-use crate::run::Log;
 
 /// The stations' distance from the middle line, metres.
 const ASIDE_M: f64 = 1.0;
@@ -122,15 +120,14 @@ pub(super) fn measure() -> Result<Curves> {
     std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
     let calib = folder.join("corridor.toml");
     std::fs::write(&calib, CORRIDOR).with_context(|| calib.display().to_string())?;
-    let elf = firmware::scum3c(&calib, "")?;
-    let image = Image { elf: &elf, strings: Log::strings(&elf)? };
+    let image = Image::build(&calib)?;
     let ranges_m = (4..=24).map(|n| 0.25 * f64::from(n));
     let least_deg = (INCIDENCE_AT_M / distance_m(INCIDENCE_AT_M)).acos().to_degrees();
     let incidences_deg = std::iter::once(least_deg.ceil()).chain((6..=17).map(|n| 5.0 * f64::from(n)));
     Ok(Curves {
-        range: curve(image, "range", "m", ranges_m.map(|z_m| (distance_m(z_m), scene(z_m, 0.0))).collect())?,
+        range: curve(&image, "range", "m", ranges_m.map(|z_m| (distance_m(z_m), scene(z_m, 0.0))).collect())?,
         incidence: curve(
-            image,
+            &image,
             "incidence",
             "deg",
             incidences_deg.map(|deg| (deg, scene(INCIDENCE_AT_M, deg))).collect(),
@@ -138,7 +135,7 @@ pub(super) fn measure() -> Result<Curves> {
     })
 }
 
-fn curve(image: Image, name: &'static str, unit: &'static str, places: Vec<(f64, Scene)>) -> Result<Measured> {
+fn curve(image: &Image, name: &'static str, unit: &'static str, places: Vec<(f64, Scene)>) -> Result<Measured> {
     let mut points: Vec<Point> = places.iter().map(|_| Point::default()).collect();
     on_all_cores(
         &places,
@@ -151,8 +148,9 @@ fn curve(image: Image, name: &'static str, unit: &'static str, places: Vec<(f64,
                 due_again_s: Vec::new(),
                 wrap_s: None,
                 reasons: &[],
+                knows_ids: false,
             };
-            Ok(point(*at, &play(image.elf, image.strings, &take)?))
+            Ok(point(*at, &image.play(&take)?))
         },
         |n, point| {
             points[n] = point;
@@ -234,6 +232,7 @@ impl Curves {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::firmware;
 
     #[test]
     fn the_corridor_is_the_one_that_is_baked() {

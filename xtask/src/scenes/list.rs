@@ -20,7 +20,7 @@ const PHASES: u32 = 64;
 const SETTLED_S: f64 = 3.0;
 /// What the mote's health is to name, one of these, where no good fix can come for seconds. A health frame comes once a
 /// second, so shorter gaps have none to themselves.
-const REASONS: [(&str, &[Reason]); 13] = [
+const REASONS: [(&str, &[Reason]); 14] = [
     ("occlusion-a-10s", &[Reason::ADark, Reason::OneStation]),
     ("occlusion-b-10s", &[Reason::BDark, Reason::OneStation]),
     ("occlusion-both-1s", &[Reason::NoLight]),
@@ -31,6 +31,7 @@ const REASONS: [(&str, &[Reason]); 13] = [
     ("stuck-low-10s", &[Reason::NoLight]),
     // Rays that miss each other, too far for a track to begin or for a fix at all, or that meet outside the room.
     ("swapped", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
+    ("swapped-known", &[Reason::AStranger, Reason::BStranger]),
     ("moved-up-10cm", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
     ("moved-tilted-5deg", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
     ("single-a", &[Reason::OneStation]),
@@ -62,12 +63,14 @@ pub(super) struct Take {
     pub(super) wrap_s: Option<f64>,
     /// Where no good fix can come for seconds: the mote's health names one of these reasons.
     pub(super) reasons: &'static [Reason],
+    /// The room's file names the stations' serial numbers, as the scene has them before it changes anything.
+    pub(super) knows_ids: bool,
 }
 
 fn take(length_s: f64, seed: u64) -> Take {
     let scene = Scene { length_s, ..Scene::default() };
     let first_light_s = scene.timing.first_sync_s;
-    Take { scene, seed, first_light_s, due_again_s: Vec::new(), wrap_s: None, reasons: &[] }
+    Take { scene, seed, first_light_s, due_again_s: Vec::new(), wrap_s: None, reasons: &[], knows_ids: false }
 }
 
 /// A scene on several walks.
@@ -236,6 +239,10 @@ fn lines(all: &mut Vec<Named>) {
 fn rooms(all: &mut Vec<Named>) {
     all.push(walks("swapped", "A stands where the room file has B, and B where it has A", 20.0, |take| {
         std::mem::swap(&mut take.scene.station_a, &mut take.scene.station_b);
+    }));
+    all.push(walks("swapped-known", "the same, where the room file has the stations' serial numbers", 20.0, |take| {
+        std::mem::swap(&mut take.scene.station_a, &mut take.scene.station_b);
+        take.knows_ids = true;
     }));
     // Along the line to A and towards the mote, and turned about the upright: planes through both stations and the mote
     // stay such planes, and the rays meet as before, elsewhere. Up, and tilted: the rays no longer meet.

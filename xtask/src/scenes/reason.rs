@@ -34,6 +34,10 @@ pub(super) enum Reason {
     ANoSweeps,
     /// The same of B.
     BNoSweeps,
+    /// A says that it is not who the room's file expects.
+    AStranger,
+    /// The same of B.
+    BStranger,
     /// Angles whose rays miss each other.
     Mismatch,
     /// Angles whose rays meet nowhere in the room.
@@ -55,6 +59,8 @@ impl std::fmt::Display for Reason {
             Self::BDark => "B dark",
             Self::ANoSweeps => "no sweeps of A",
             Self::BNoSweeps => "no sweeps of B",
+            Self::AStranger => "A is another",
+            Self::BStranger => "B is another",
             Self::Mismatch => "mismatch",
             Self::Geometry => "geometry",
             Self::Disbelieved => "disbelieved",
@@ -66,6 +72,11 @@ impl std::fmt::Display for Reason {
 pub(super) fn said(health: &[(f64, Health)], from_s: f64) -> BTreeSet<Reason> {
     let since: Vec<&Health> = health.iter().filter(|(sent_s, _)| *sent_s >= from_s).map(|(_, health)| health).collect();
     let mut said: BTreeSet<Reason> = since.iter().filter_map(|health| outright(health.lock)).collect();
+    for (station, reason) in [(0, Reason::AStranger), (1, Reason::BStranger)] {
+        if since.iter().any(|health| health.stations[station].is_stranger) {
+            said.insert(reason);
+        }
+    }
     for pair in since.windows(2) {
         let [before, after] = pair else { continue };
         if before.lock == Lock::Locked && after.lock == Lock::Locked {
@@ -126,6 +137,13 @@ mod tests {
         let frames = [(1.0, dark(Lock::NoLight)), (2.0, dark(Lock::Widths)), (3.0, locked([0; 2], 0))];
         assert_eq!(said(&frames, 0.0).len(), 2);
         assert_eq!(said(&frames, 1.5).into_iter().collect::<Vec<_>>(), [Reason::Widths]);
+    }
+
+    #[test]
+    fn a_stranger_is_named() {
+        let mut health = locked([10, 10], 5);
+        health.stations[1].is_stranger = true;
+        assert_eq!(said(&[(1.0, health)], 0.0).into_iter().collect::<Vec<_>>(), [Reason::BStranger]);
     }
 
     #[test]

@@ -96,7 +96,7 @@ enum Progress {
     Flaw(Flaw),
 }
 
-/// One station's frame as far as it has come. 56 bytes.
+/// One station's frame as far as it has come. 60 bytes.
 #[derive(Debug, Clone)]
 pub struct State {
     /// Block and CRC.
@@ -116,6 +116,8 @@ pub struct State {
     bits: u8,
     /// One of them was missed.
     torn: bool,
+    /// The place after the latest good frame was known.
+    known_at: u8,
     good: u8,
     bad: u8,
 }
@@ -132,6 +134,7 @@ impl Default for State {
             place: HUNTING,
             bits: 0,
             torn: false,
+            known_at: 0,
             good: 0,
             bad: 0,
         }
@@ -149,6 +152,14 @@ impl State {
     #[must_use]
     pub const fn bad(&self) -> u8 {
         self.bad
+    }
+
+    /// Bits since the preamble that had gone by when the latest good frame was known, below [`FRAME_BITS`]: the same for
+    /// all who know it, whatever each missed.
+    #[must_use]
+    pub const fn known_at(&self) -> u16 {
+        // Every word is closed by a one.
+        self.known_at as u16 * (WORD_BITS as u16 + 1)
     }
 
     /// Whether bits go by unread.
@@ -281,6 +292,7 @@ impl State {
         }
         let block = Block::of(words);
         self.good = self.good.wrapping_add(1);
+        self.known_at = self.place;
         self.drop_words();
         self.rest = config.rest_bits;
         if self.rest > 0 {

@@ -240,7 +240,8 @@ impl<B: Board> Solve<B> {
         frames: Frames<B>,
         reset: (Reset, u32),
     ) -> Self {
-        Self { solver: Solver::default(), batch: Batch::default(), sightings, tales, frames, reset }
+        let solver = Solver::of_mote(frames.header.mote);
+        Self { solver, batch: Batch::default(), sightings, tales, frames, reset }
     }
 
     /// Takes the oldest sighting, or what was told where there is none; one at a time as [`Classify::run`].

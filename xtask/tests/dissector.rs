@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
+use lighthouse_mote::frame::secured::{self, Key};
 use lighthouse_mote::frame::{
-    ANGLES, ANGLES_LEN, Angles, Factory, Header, Health, Level, Lock, Losses, Measured, Rejects, Report, Reset,
-    Station, emit, emit_angles, emit_health,
+    ANGLES, ANGLES_LEN, Aligned, Angles, Factory, Header, Health, Level, Lock, Losses, Measured, Rejects, Report,
+    Reset, Station, emit, emit_angles, emit_health, emit_into,
 };
 use lighthouse_mote::sweep;
 use serde_json::Value;
@@ -29,6 +30,11 @@ fn is_there() -> bool {
 
 /// What tshark says of each frame, asked for `fields` besides those of the MAC layer.
 fn dissect(frames: &[Vec<u8>], fields: &[String]) -> Vec<Value> {
+    dissect_with(frames, fields, &[])
+}
+
+/// The same with settings of Wireshark's.
+fn dissect_with(frames: &[Vec<u8>], fields: &[String], settings: &[String]) -> Vec<Value> {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("frames.pcap");
     let frames: Vec<Frame> =
@@ -38,6 +44,9 @@ fn dissect(frames: &[Vec<u8>], fields: &[String]) -> Vec<Value> {
     // A home of its own: nobody's settings, nobody's plugins.
     command.env("HOME", dir.path()).env("XDG_CONFIG_HOME", dir.path());
     command.arg("-X").arg(format!("lua_script:{}", dissector().display())).arg("-r").arg(&path).args(["-T", "json"]);
+    settings.iter().for_each(|setting| {
+        command.args(["-o", setting]);
+    });
     let always = ["wpan.fcs_ok", "wpan.src16", "wpan.dst_pan", "wpan.seq_no", "_ws.expert.message", "_ws.malformed"];
     for field in always.iter().map(|field| (*field).to_string()).chain(fields.iter().cloned()) {
         command.args(["-e", &field]);
@@ -339,4 +348,59 @@ fn what_is_off_is_marked_and_what_is_not_ours_is_left_alone() {
     assert!(told[..4].iter().all(|told| told["wpan.fcs_ok"][0] == "1"));
     assert_eq!((&told[4]["lighthouse.version"], experts[4].as_str()), (&Value::Null, ""));
     assert_eq!(told[5]["wpan.fcs_ok"][0], "0");
+}
+
+/// What Wireshark must be told to check the frames of `motes` under `key`: the key, and the extended address of each.
+fn secrets(key: &[u8; 16], header: &[Header]) -> Vec<String> {
+    let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+    let key = format!(r#"uat:ieee802154_keys:"{}","0","No hash""#, hex(key));
+    let address = |Header { pan, mote, .. }: &Header| {
+        format!(r#"uat:802154_addresses:"{mote:x}","{pan:x}",{}"#, hex(&secured::address(*pan, *mote)))
+    };
+    std::iter::once(key).chain(header.iter().map(address)).collect()
+}
+
+#[test]
+fn a_secured_frame_is_believed_under_its_key_and_no_other_frame_is() {
+    if !is_there() {
+        return;
+    }
+    const KEY: [u8; 16] = *b"a room of its ow";
+    let mut dice = fastrand::Rng::with_seed(4);
+    let (mut sent, mut headers) = (Vec::new(), Vec::new());
+    for counter in [0, 1, 0x0102_0304, u32::MAX] {
+        let (header, report) = (header(&mut dice), report(&mut dice));
+        let mut frame = Aligned::BLANK;
+        emit_into(&mut frame, header, &report);
+        assert!(Key::new(&KEY).seal(&mut frame, counter));
+        sent.push((header, frame.bytes().to_vec(), counter, shown_report(header, &report)));
+        headers.push(header);
+    }
+    let fields: Vec<String> = sent[0].3.0.iter().map(|(name, _)| name.clone()).collect();
+    let fields = [fields, vec!["wpan.aux_sec.frame_counter".into(), "wpan.aux_sec.sec_level".into()]].concat();
+    let frames: Vec<Vec<u8>> = sent.iter().map(|(_, bytes, ..)| bytes.clone()).collect();
+    let told = dissect_with(&frames, &fields, &secrets(&KEY, &headers));
+    for ((header, _, counter, wanted), told) in sent.iter().zip(&told) {
+        holds(*header, told, wanted);
+        assert_eq!(told["wpan.aux_sec.frame_counter"][0], counter.to_string());
+        let level = texts(&told["wpan.aux_sec.sec_level"]).concat();
+        assert!(["1", "0x01", "0x1"].contains(&level.as_str()), "{level}");
+    }
+    // One bit of the payload, the check sequence right; and another key.
+    let forged: Vec<Vec<u8>> = frames
+        .iter()
+        .map(|frame| {
+            let mut frame = frame.clone();
+            let body = frame.len() - 2;
+            frame[30] ^= 1;
+            let check = lighthouse_mote::frame::fcs(&frame[..body]).to_le_bytes();
+            frame[body..].copy_from_slice(&check);
+            frame
+        })
+        .collect();
+    let others = dissect_with(&forged, &fields, &secrets(&KEY, &headers));
+    let elsewhere = dissect_with(&frames, &fields, &secrets(b"another room's..", &headers));
+    for told in others.iter().chain(&elsewhere) {
+        assert_eq!((&told["wpan.fcs_ok"][0], &told["lighthouse.x"]), (&Value::from("1"), &Value::Null), "{told}");
+    }
 }

@@ -628,6 +628,12 @@ pub struct Chain {
 }
 
 impl Chain {
+    /// Of the mote with that short address.
+    #[must_use]
+    pub fn of_mote(mote: u16) -> Self {
+        Self { solver: Solver::of_mote(mote), ..Self::default() }
+    }
+
     /// Takes one edge; gives the report that it completes.
     pub fn step(&mut self, config: &Config, edge: Edge) -> Option<Report> {
         let sighting = self.classifier.step(config, edge)?;

@@ -56,12 +56,24 @@ static IDENTITY: Block = {
     Block::new(baked, identity::READS_ADDRESS)
 };
 
+/// Where the frame counter begins; a programmer overwrites it.
+#[cfg(feature = "security")]
+#[used]
+static FIRST: identity::FirstCounter = identity::FirstCounter::new();
+
+// SAFETY: `.uninit` is ordinary RAM that start-up leaves alone (cortex-m-rt's link.x); any bits are a valid `Kept`.
+#[cfg(feature = "security")]
+#[unsafe(link_section = ".uninit.counter")]
+static KEPT: mote::seal::Kept = mote::seal::Kept::new();
+
 #[rtic::app(device = crate::pac, peripherals = false)]
 mod app {
     use lighthouse_mote::frame::{Header, Reset};
 
     use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
+    #[cfg(feature = "security")]
+    use crate::mote::seal::Seal;
     use crate::mote::stages::{Air, Classify, Frames, Sightings, Solve, Tales};
     use crate::pac::Interrupt;
     use crate::radio::Radio;
@@ -102,9 +114,12 @@ mod app {
         let (to_radio, frames) = cx.local.frames.split();
         let reset = crash.map_or((Reset::PowerOn, 0), |crash| (crash.reset(), crash.at));
         let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
+        let solve = Solve::new(sightings, tales, Frames::new(to_radio, header), reset);
+        #[cfg(feature = "security")]
+        let solve = solve.under(crate::calib::KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
         (
             Shared { capture, classify: Classify::new(pulses, to_solve, to_tell), radio: Radio::new(frames) },
-            Local { solve: Solve::new(sightings, tales, Frames::new(to_radio, header), reset) },
+            Local { solve },
         )
     }
 

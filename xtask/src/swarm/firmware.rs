@@ -8,13 +8,14 @@
 use std::num::NonZeroU32;
 
 use anyhow::{Context, Result, ensure};
-use lighthouse_mote::frame::{Message, parse};
+use lighthouse_mote::frame::Message;
 use lighthouse_mote::ootx::FRAME_BITS;
 use sim::mote::Mote;
 use sim::world::{Scene, World};
 
 use super::air::{Nanos, Sent, Wish, air_time, unheard};
 use crate::flash::identity::{self, Change};
+use crate::trust::{self, Guard};
 
 /// The slow end of what the chip's core runs at, Hz: its frames come latest.
 const HCLK_HZ: u32 = 5_000_000;
@@ -78,10 +79,12 @@ fn one(elf: &[u8], id: u16, motes: u16, from_s: f64, to_s: f64) -> Result<Vec<Wi
         mote.push_edge(edge.cycle, edge.level)?;
     }
     mote.run_until(end)?;
+    // Where the build has a key, every frame must be under it, and none twice.
+    let mut guard = Guard::new(trust::key_of_environment()?);
     let mut wishes = Vec::new();
     for sent in mote.take_frames().collect::<Vec<_>>() {
         let at_s = world.seconds(sent.start_cycle);
-        let (_, message) = parse(&sent.bytes).map_err(|reject| anyhow::anyhow!("a frame at {at_s:.3} s: {reject}"))?;
+        let (_, message) = guard.open(&sent.bytes).with_context(|| format!("a frame at {at_s:.3} s"))?;
         if at_s < from_s {
             continue;
         }

@@ -225,8 +225,6 @@ pub struct Solver {
     reported: Option<Ticks>,
     ears: Ears,
     send: send::State,
-    /// Good frames of station A that the half turns were numbered by, wrapping.
-    numbered: u8,
 }
 
 /// What the stations say about themselves, out of the bits of their flashes.
@@ -303,7 +301,7 @@ impl Solver {
                 return None;
             }
         };
-        let is_own = config.send.counts() && self.count(config, at, before, half_turn);
+        let is_own = config.send.counts() && self.count(config, sighting.flashes, at, before, half_turn);
         let is_due = if config.send.when == When::Steady { self.is_due(config, at, half_turn) } else { is_own };
         if !is_due {
             return None;
@@ -313,11 +311,10 @@ impl Solver {
 
     /// Counts half turns up to the one that began `before` ago at `at`; whether it is the mote's own.
     #[inline(always)]
-    fn count(&mut self, config: &Config, at: Ticks, before: Span, half_turn: HalfTurn) -> bool {
-        let heard = &self.ears.ears[Station::A as usize].ootx;
-        let read = (heard.good() != self.numbered).then_some(heard.known_at());
-        self.numbered = heard.good();
-        send::step(&config.send, config.report_every_half_turns, &mut self.send, (at, before, half_turn), read)
+    fn count(&mut self, config: &Config, flashes: Flashes, at: Ticks, before: Span, half_turn: HalfTurn) -> bool {
+        // Where its bit of this half turn came, it was listened to.
+        let starts = flashes.data(Station::A).is_some() && self.ears.ears[Station::A as usize].ootx.is_at_start();
+        send::step(&config.send, config.report_every_half_turns, &mut self.send, (at, before, half_turn), starts)
     }
 
     /// Not inlined: it comes with one sighting in several, and what it needs would be made ready for all of them.

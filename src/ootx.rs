@@ -96,7 +96,7 @@ enum Progress {
     Flaw(Flaw),
 }
 
-/// One station's frame as far as it has come. 60 bytes.
+/// One station's frame as far as it has come. 56 bytes.
 #[derive(Debug, Clone)]
 pub struct State {
     /// Block and CRC.
@@ -116,8 +116,6 @@ pub struct State {
     bits: u8,
     /// One of them was missed.
     torn: bool,
-    /// The place after the latest good frame was known.
-    known_at: u8,
     good: u8,
     bad: u8,
 }
@@ -134,7 +132,6 @@ impl Default for State {
             place: HUNTING,
             bits: 0,
             torn: false,
-            known_at: 0,
             good: 0,
             bad: 0,
         }
@@ -154,12 +151,10 @@ impl State {
         self.bad
     }
 
-    /// Bits since the preamble that had gone by when the latest good frame was known, below [`FRAME_BITS`]: the same for
-    /// all who know it, whatever each missed.
+    /// Whether the latest bit was the one that ends a preamble: the same flash for all who hear that station.
     #[must_use]
-    pub const fn known_at(&self) -> u16 {
-        // Every word is closed by a one.
-        self.known_at as u16 * (WORD_BITS as u16 + 1)
+    pub const fn is_at_start(&self) -> bool {
+        self.place == LENGTH && self.bits == 0
     }
 
     /// Whether bits go by unread.
@@ -292,7 +287,6 @@ impl State {
         }
         let block = Block::of(words);
         self.good = self.good.wrapping_add(1);
-        self.known_at = self.place;
         self.drop_words();
         self.rest = config.rest_bits;
         if self.rest > 0 {

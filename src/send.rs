@@ -2,15 +2,15 @@
 //!
 //! All motes of a room see the same light, so those that report every so many half turns on their own do it in step: two
 //! that fell into the same half turn stay there and are never heard. But what they see also numbers the half turns for
-//! all of them: station A repeats its frame every [`FRAME_BITS`] flashes, one flash a half turn. A mote that has read it
-//! once counts along, and sends in the half turns whose number is its own ([`slot`]). Nobody listens to anybody.
+//! all of them: station A repeats its frame every [`FRAME_BITS`] flashes, one flash a half turn. A mote that has seen it
+//! begin once counts along, and sends in the half turns whose number is its own ([`slot`]). Nobody listens to anybody.
 //!
 //! A half turn holds one report and a health frame behind it, 5.5 ms. The laser passes within it, so the two may end in
 //! the next one, but hardly ever before that one's laser has passed; a slot is therefore one half turn, and the first half
 //! of the motes get every second one.
 //!
-//! What can go wrong: until the frame has been read, which takes 3 to 6 s from the lock on, the count is the mote's own.
-//! More motes than slots: two share one for good, so `every` is to be no less than there are motes. Slots come round with
+//! What can go wrong: until the frame was seen to begin, 18 flashes without a gap, the count is the mote's own: 1.5 s on
+//! average in full light, 6 s where one flash in twenty is lost. More motes than slots: two share one for good, so `every` is to be no less than there are motes. Slots come round with
 //! the frame, at its end a little early or late.
 
 use crate::frame::{Level, Report};
@@ -177,15 +177,15 @@ impl State {
 /// Takes the half turn that began `before` ago at `at`: exactly, or about where that is a half turn or more. Whether a
 /// report is due in it, which for [`When::Steady`] others decide.
 ///
-/// `read` says, where it has just become known, how many bits of station A's frame have gone by, this half turn's among
-/// them. To be called for one half turn after another; those between that nobody saw are counted by their time.
+/// `starts`: its flash of station A ended the preamble of that station's frame. To be called for one half turn after
+/// another; those between that nobody saw are counted by their time.
 #[inline(always)]
 pub fn step(
     config: &Config,
     every: u16,
     state: &mut State,
     (at, before, half_turn): (Ticks, Span, HalfTurn),
-    read: Option<u16>,
+    starts: bool,
 ) -> bool {
     let began = at.before(before);
     let length = half_turn.span().0;
@@ -204,10 +204,8 @@ pub fn step(
             state.began = Some(began.before(Span(since)).after(Span(length / 2)));
         }
     }
-    if config.when == When::Slotted
-        && let Some(bits) = read
-    {
-        state.count = bits;
+    if config.when == When::Slotted && starts {
+        state.count = 0;
     }
     state.is_own(config.when, every)
 }

@@ -6,7 +6,6 @@ mod harness;
 
 use fixed::types::{I16F16, U0F16};
 use lighthouse_mote::frame::{Level, Report};
-use lighthouse_mote::ootx::FRAME_BITS;
 use lighthouse_mote::send::{Config, State, When, slot, step};
 use lighthouse_mote::sweep::HalfTurn;
 use lighthouse_mote::time::{Span, Ticks};
@@ -22,17 +21,17 @@ const fn sends(when: When) -> Config {
     Config { when, moved_q16: 0, heartbeat_half_turns: 120 }
 }
 
-/// A mote in the light: its half turns have numbers of their own until it reads the station's frame.
+/// A mote in the light: its half turns have numbers of their own until it sees the station's frame begin.
 struct Mote {
     state: State,
     every: u16,
     config: Config,
-    read: Option<u16>,
+    starts: bool,
 }
 
 impl Mote {
     fn new(id: u16, every: u16, when: When) -> Self {
-        Self { state: State::new(id), every, config: sends(when), read: None }
+        Self { state: State::new(id), every, config: sends(when), starts: false }
     }
 
     /// Half turn `number` since the stations were switched on; whether the mote reports in it.
@@ -40,12 +39,12 @@ impl Mote {
         let began = Ticks(number.wrapping_mul(83_333).wrapping_add(0xfff0_0000).wrapping_add_signed(off));
         let before = Span(if is_exact { 30_000 + number % 20_000 } else { 83_333 });
         let light = (began.after(before), before, half_turn());
-        step(&self.config, self.every, &mut self.state, light, self.read.take())
+        step(&self.config, self.every, &mut self.state, light, core::mem::take(&mut self.starts))
     }
 
-    /// The station's frame is read in half turn `number`, which comes next.
-    fn reads(&mut self, number: u32) {
-        self.read = Some((number % u32::from(FRAME_BITS)) as u16);
+    /// It sees the station's frame begin in the half turn that comes next.
+    fn reads(&mut self) {
+        self.starts = true;
     }
 }
 
@@ -77,16 +76,17 @@ mod tests {
     }
 
     #[test]
-    fn motes_that_read_the_frame_at_different_times_never_share_a_half_turn() {
+    fn motes_that_saw_the_frame_begin_at_different_times_never_share_a_half_turn() {
         for every in [2, 7, 8, 12, 100] {
             let (a, b) = (every - 1, every / 2 - 1);
             let mut motes = [Mote::new(a, every, When::Slotted), Mote::new(b, every, When::Slotted)];
             let mut reports = [0; 2];
             for number in 1_000..3_500 {
-                // The second was switched on later, and both have read the frame by 2000.
+                // The second was switched on later, and both have seen a frame begin by 2000.
                 match number {
-                    1_400 => motes[0].reads(number),
-                    1_999 => motes[1].reads(number),
+                    // 4 and 5 times 358.
+                    1_432 => motes[0].reads(),
+                    1_790 => motes[1].reads(),
                     _ => {}
                 }
                 let first = motes[0].sees(number, 0, true);

@@ -4,6 +4,8 @@
 
 #[path = "calib/firmware.rs"]
 mod firmware;
+#[path = "calib/key.rs"]
+mod key;
 #[path = "calib/quantise.rs"]
 mod quantise;
 #[path = "calib/schema.rs"]
@@ -24,7 +26,7 @@ fn main() {
 /// Writes `OUT_DIR/calib.rs`: `CONFIG`, `PAN` and `MOTE` as constants, so that the compiler folds them into the code.
 ///
 /// The room is `calib/default.toml`, or whatever file `LIGHTHOUSE_CALIB` names. `LIGHTHOUSE_MOTE` may hold lines as
-/// they stand under `[mote]` in such a file, which then count instead.
+/// they stand under `[mote]` in such a file, which then count instead. `LIGHTHOUSE_KEY` may name the file of the room's key.
 fn bake() {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rerun-if-changed=calib");
@@ -33,9 +35,17 @@ fn bake() {
     let chosen = env::var("LIGHTHOUSE_CALIB").unwrap_or_else(|_| "calib/default.toml".to_string());
     println!("cargo:rerun-if-changed={chosen}");
     println!("cargo:rerun-if-env-changed=LIGHTHOUSE_MOTE");
+    println!("cargo:rerun-if-env-changed=LIGHTHOUSE_KEY");
     let own = env::var("LIGHTHOUSE_MOTE").unwrap_or_default();
     let baked = schema::open(Path::new(&chosen)).and_then(|mut calibration| {
         calibration.mote = calibration.mote.with("LIGHTHOUSE_MOTE", &own)?;
+        if let Some(file) = env::var_os("LIGHTHOUSE_KEY").filter(|file| !file.is_empty()) {
+            println!("cargo:rerun-if-changed={}", Path::new(&file).display());
+            calibration.mote.key = Some(key::Key(key::open(Path::new(&file))?));
+        }
+        if calibration.mote.key.is_some() && env::var_os("CARGO_FEATURE_SECURITY").is_none() {
+            println!("cargo:warning=the room has a key, and the feature `security` is off: frames are plain");
+        }
         firmware::source(&chosen, &calibration)
     });
     let source = baked.unwrap_or_else(|error| {

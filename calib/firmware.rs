@@ -3,7 +3,7 @@
 //! What can go wrong: a room that the fixed-point solver cannot hold; it is refused with the number that breaks.
 
 use super::quantise::{self, Baked, Room};
-use super::schema::{Calibration, Error, Estimate, Name, RoomBox, Rotor, Station};
+use super::schema::{Calibration, Error, Estimate, Mote, Name, RoomBox, Rotor, Send, Station};
 use super::solver::Calib;
 use super::volume::{reach, shared_view};
 
@@ -87,6 +87,21 @@ fn track(calibration: &Calibration) -> String {
     }
 }
 
+/// When the mote sends, as source.
+fn send(mote: &Mote) -> String {
+    let when = match mote.sends() {
+        Send::Slotted => "Slotted",
+        Send::Jittered => "Jittered",
+        Send::Steady => "Steady",
+    };
+    let moved = (mote.moved_m * 65_536.0).round() as u32;
+    let heartbeat = (mote.heartbeat_s * 1000.0 / HALF_TURN_MS).round() as u16;
+    format!(
+        "lighthouse_mote::send::Config {{ when: lighthouse_mote::send::When::{when}, moved_q16: {moved}, \
+         heartbeat_half_turns: {heartbeat} }}"
+    )
+}
+
 /// The age rule in whole half turns, at least one.
 #[must_use]
 pub fn max_age_half_turns(calibration: &Calibration) -> u16 {
@@ -135,11 +150,15 @@ pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Confi
     room: lighthouse_mote::track::Room {{ stations: [{}, {}] }},
     estimate: lighthouse_mote::chain::Estimate::{estimate},
     report_every_half_turns: {every},
+    send: {send},
 }};
 /// The personal area network.
 pub const PAN: u16 = {pan};
 /// The mote's short address.
 pub const MOTE: u16 = {id};
+/// The room's key: frames then prove who made them.
+#[allow(dead_code, reason = \"a build without the feature has no use for it\")]
+pub const KEY: Option<[u8; 16]> = {key:?};
 ",
         rotors[0],
         rotors[1],
@@ -151,9 +170,11 @@ pub const MOTE: u16 = {id};
             Estimate::Angles => "Angles",
         },
         track = track(calibration),
+        send = send(&mote),
         every = mote.report_every_half_turns,
         pan = mote.pan,
         id = mote.id,
+        key = mote.key.map(|key| key.0),
         received = calibration.received(),
         lone = match mote.lone {
             None => "None",

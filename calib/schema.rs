@@ -22,6 +22,8 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::key::{self, Key};
+
 /// A measured room.
 #[derive(Debug, Clone)]
 pub struct Calibration {
@@ -95,6 +97,12 @@ pub struct Mote {
     pub estimate: Estimate,
     /// At most one report per so many half turns (8.333 ms).
     pub report_every_half_turns: u16,
+    /// Which half turns these are; see [`Mote::sends`] where nothing is said.
+    pub send: Option<Send>,
+    /// Only a mote that has moved so far since its last report says so, metres; 0: every report goes out.
+    pub moved_m: f64,
+    /// One that rests reports once in so many seconds.
+    pub heartbeat_s: f64,
     /// The oldest angle a fix may use, ms.
     pub max_angle_age_ms: f64,
     /// Standard deviation of one angle in this room, mrad, calibration errors included; none for the tracker's usual one.
@@ -103,6 +111,8 @@ pub struct Mote {
     pub factory: FactorySource,
     /// Who flashes, if only one station of the pair is seen from the start.
     pub lone: Option<Name>,
+    /// The room's key: frames then prove who made them. See `key.rs`.
+    pub key: Option<Key>,
 }
 
 /// Which of the two stations.
@@ -119,6 +129,32 @@ impl Calibration {
     #[must_use]
     pub fn received(&self) -> [bool; 2] {
         self.stations.map(|station| station.source.unwrap_or(self.mote.factory) == FactorySource::Received)
+    }
+}
+
+/// Which half turns a mote reports in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Send {
+    /// `"slotted"`: those that are its own, by the common count of all motes that see station A.
+    Slotted,
+    /// `"jittered"`: by dice, half as far apart as asked for to one and a half times.
+    Jittered,
+    /// `"steady"`: every so many since the last.
+    Steady,
+}
+
+/// Half turns that have a number: the bits of a station's frame, which repeats.
+pub const NUMBERED_HALF_TURNS: u16 = 358;
+
+impl Mote {
+    /// Which half turns it reports in: slots, unless it does so in all of them or too rarely.
+    #[must_use]
+    pub fn sends(&self) -> Send {
+        self.send.unwrap_or(match self.report_every_half_turns {
+            0..=1 => Send::Steady,
+            2..=NUMBERED_HALF_TURNS => Send::Slotted,
+            _ => Send::Jittered,
+        })
     }
 }
 
@@ -140,10 +176,14 @@ impl Default for Mote {
             pan: 0x4C48,
             estimate: Estimate::Track,
             report_every_half_turns: 8,
+            send: None,
+            moved_m: 0.0,
+            heartbeat_s: 1.0,
             max_angle_age_ms: 100.0,
             angle_noise_mrad: None,
             factory: FactorySource::File,
             lone: None,
+            key: None,
         }
     }
 }
@@ -314,10 +354,14 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         "pan",
         "estimate",
         "report_every_half_turns",
+        "send",
+        "moved_m",
+        "heartbeat_s",
         "max_angle_age_ms",
         "angle_noise_mrad",
         "factory",
         "lone",
+        "key_file",
     ])?;
     let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
         // No larger than `max`, so it fits.
@@ -336,7 +380,28 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
     let report_every_half_turns = whole("report_every_half_turns", usual.report_every_half_turns, 12_000)?;
     let flaw = (report_every_half_turns == 0).then(|| "0 would report without end; 1 reports every fix".to_string());
     table.check("report_every_half_turns", flaw)?;
+    let send = table.optional("send", |value, at| at.send(value))?.or(usual.send);
+    let flaw = (send == Some(Send::Slotted) && report_every_half_turns > NUMBERED_HALF_TURNS).then(|| {
+        format!(
+            "\"slotted\" repeats every {NUMBERED_HALF_TURNS} half turns, and report_every_half_turns is \
+             {report_every_half_turns}; \"jittered\" or \"steady\""
+        )
+    });
+    table.check("send", flaw)?;
+    let number = |key: &str, usual: f64, limits: std::ops::RangeInclusive<f64>, unit: &str| -> Result<f64, Error> {
+        let value = table.optional(key, |value, at| at.number(value))?.unwrap_or(usual);
+        let flaw = (!limits.contains(&value))
+            .then(|| format!("{value} {unit} is not in {} ..= {}", limits.start(), limits.end()));
+        table.check(key, flaw)?;
+        Ok(value)
+    };
+    let key = table.optional("key_file", |value, at| at.key(value))?.or(usual.key);
     Ok(Mote {
+        key,
+        send,
+        moved_m: number("moved_m", usual.moved_m, 0.0..=10.0, "m")?,
+        // A 16-bit count of half turns.
+        heartbeat_s: number("heartbeat_s", usual.heartbeat_s, 0.1..=540.0, "s")?,
         id: whole("id", usual.id, 0xFFFD)?,
         pan: whole("pan", usual.pan, 0xFFFE)?,
         estimate: table.optional("estimate", |value, at| at.estimate(value))?.unwrap_or(usual.estimate),
@@ -501,6 +566,26 @@ impl<'a> At<'a> {
             DeValue::String(text) if text == "A" => Ok(Name::A),
             DeValue::String(text) if text == "B" => Ok(Name::B),
             other => Err(self.error(value, format!("{} is neither \"A\" nor \"B\"", shown(other)))),
+        }
+    }
+
+    /// The key in a file beside this one.
+    fn key(&self, value: &Spanned<DeValue<'_>>) -> Result<Key, Error> {
+        let DeValue::String(name) = value.get_ref() else {
+            return Err(self.error(value, format!("{} is no file", shown(value.get_ref()))));
+        };
+        let folder = Path::new(self.source.file).parent().unwrap_or(Path::new(""));
+        key::open(&folder.join(name.as_ref())).map(Key).map_err(|error| self.error(value, error.to_string()))
+    }
+
+    fn send(&self, value: &Spanned<DeValue<'_>>) -> Result<Send, Error> {
+        match value.get_ref() {
+            DeValue::String(text) if text == "slotted" => Ok(Send::Slotted),
+            DeValue::String(text) if text == "jittered" => Ok(Send::Jittered),
+            DeValue::String(text) if text == "steady" => Ok(Send::Steady),
+            other => {
+                Err(self.error(value, format!("{} is none of \"slotted\", \"jittered\" and \"steady\"", shown(other))))
+            }
         }
     }
 

@@ -10,6 +10,7 @@ use fixed::types::{I6F10, I16F16, U0F16, U8F8};
 
 use crate::edge::Edge;
 use crate::frame::{self, Angles, Health, Level, Losses, Measured, Rejects, Report};
+use crate::send::{self, When};
 use crate::sweep::{Closed, HalfTurn, Light, Station, Status, Sweep, Sync};
 use crate::time::{Span, Ticks};
 use crate::{angle, fix, ootx, pulse, sweep, track};
@@ -35,6 +36,8 @@ pub struct Config {
     pub estimate: Estimate,
     /// At most one report per this many half turns (8.333 ms); 1 reports at every sweep, 120 a second.
     pub report_every_half_turns: u16,
+    /// Which half turns these are, and which reports are worth it.
+    pub send: send::Config,
 }
 
 /// Whose position is reported.
@@ -221,6 +224,7 @@ pub struct Solver {
     disbelieved: u16,
     reported: Option<Ticks>,
     ears: Ears,
+    send: send::State,
 }
 
 /// What the stations say about themselves, out of the bits of their flashes.
@@ -253,13 +257,21 @@ struct Known {
 const TRACK_TIME_SHIFT: u32 = sweep::HALF_TURN_BITS - track::PER_HALF_TURN.ilog2();
 
 impl Solver {
+    /// Of the mote with that short address, which says when it sends.
+    #[must_use]
+    pub fn of_mote(mote: u16) -> Self {
+        let mut solver = Self::default();
+        solver.send = send::State::new(mote);
+        solver
+    }
+
     /// Takes one sighting.
     #[inline]
     pub fn step(&mut self, config: &Config, sighting: Sighting) -> Option<Report> {
         if !self.ears.rests() {
             self.listen(config, sighting.seen, sighting.flashes);
         }
-        let (at, half_turn) = match sighting.seen {
+        let (at, before, half_turn) = match sighting.seen {
             Seen::Sweep(sweep) => {
                 // A sweep out of view says nothing of the place, but the time of a report has come.
                 if let Some(bearing) = angle::step(&config.angle, &mut self.angle, sweep) {
@@ -270,13 +282,14 @@ impl Solver {
                 } else if config.estimate == Estimate::Fix {
                     return None;
                 }
-                (sweep.at, sweep.half_turn)
+                (sweep.at, sweep.since_sync, sweep.half_turn)
             }
             Seen::Nothing { at, half_turn } => {
                 if config.estimate == Estimate::Fix {
                     return None;
                 }
-                (at, half_turn)
+                // About: where there was no sweep, its end is known, or a little later.
+                (at, half_turn.span(), half_turn)
             }
             Seen::Lost => {
                 self.fix.forget();
@@ -284,13 +297,24 @@ impl Solver {
                 self.heard = None;
                 self.reported = None;
                 self.ears.forget();
+                self.send.forget();
                 return None;
             }
         };
-        if !self.is_due(config, at, half_turn) {
+        let is_own = config.send.counts() && self.count(config, sighting.flashes, at, before, half_turn);
+        let is_due = if config.send.when == When::Steady { self.is_due(config, at, half_turn) } else { is_own };
+        if !is_due {
             return None;
         }
         self.report(config, sighting, at, half_turn)
+    }
+
+    /// Counts half turns up to the one that began `before` ago at `at`; whether it is the mote's own.
+    #[inline(always)]
+    fn count(&mut self, config: &Config, flashes: Flashes, at: Ticks, before: Span, half_turn: HalfTurn) -> bool {
+        // Where its bit of this half turn came, it was listened to.
+        let starts = flashes.data(Station::A).is_some() && self.ears.ears[Station::A as usize].ootx.is_at_start();
+        send::step(&config.send, config.report_every_half_turns, &mut self.send, (at, before, half_turn), starts)
     }
 
     /// Not inlined: it comes with one sighting in several, and what it needs would be made ready for all of them.
@@ -318,6 +342,9 @@ impl Solver {
             fixes: refused.geometry.wrapping_add(refused.mismatch).wrapping_add(self.disbelieved),
             reports: 0,
         };
+        if config.send.moved_q16 != 0 && !self.send.is_news(&config.send, &report) {
+            return None;
+        }
         Some(report)
     }
 
@@ -609,6 +636,12 @@ pub struct Chain {
 }
 
 impl Chain {
+    /// Of the mote with that short address.
+    #[must_use]
+    pub fn of_mote(mote: u16) -> Self {
+        Self { solver: Solver::of_mote(mote), ..Self::default() }
+    }
+
     /// Takes one edge; gives the report that it completes.
     pub fn step(&mut self, config: &Config, edge: Edge) -> Option<Report> {
         let sighting = self.classifier.step(config, edge)?;

@@ -34,6 +34,8 @@
 
 mod angles;
 mod health;
+#[cfg(feature = "security")]
+pub mod secured;
 
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
 
@@ -271,17 +273,23 @@ fn seal(frame: &mut [u8]) {
 /// Bytes of the longest frame.
 pub const MAX_LEN: usize = if HEALTH_LEN > ANGLES_LEN { HEALTH_LEN } else { ANGLES_LEN };
 
+/// Room for the longest frame, and for what securing it adds.
+#[cfg(feature = "security")]
+const ROOM: usize = secured::MAX_SECURED_LEN;
+#[cfg(not(feature = "security"))]
+const ROOM: usize = MAX_LEN;
+
 /// A frame of any kind on a word, where it is cheap to check and a transmitter can read it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(C, align(4))]
 pub struct Aligned {
-    room: [u8; MAX_LEN],
+    room: [u8; ROOM],
     len: u32,
 }
 
 impl Aligned {
     /// No frame yet.
-    pub const BLANK: Self = Self { room: [0; MAX_LEN], len: 0 };
+    pub const BLANK: Self = Self { room: [0; ROOM], len: 0 };
 
     /// The frame, FCS included; empty while there is none.
     #[must_use]

@@ -90,3 +90,43 @@ pub fn emit(identity: Identity, reads: Reads) -> [u8; LEN] {
         (identity.mote.to_le_bytes(), identity.pan.to_le_bytes(), reads.to_le_bytes());
     [m0, m1, m2, m3, m4, m5, m6, m7, VERSION, identity.channel, mote0, mote1, pan0, pan1, reads0, reads1]
 }
+
+/// How the place begins where a programmer says at which frame counter a mote is to start.
+pub const COUNTER_MAGIC: [u8; 8] = *b"LHcountr";
+/// Bytes of that place: [`COUNTER_MAGIC`], and the counter, little-endian.
+pub const COUNTER_LEN: usize = 12;
+
+/// The first frame counter, in images whose frames are secured. A binary keeps one as a `#[used] static`.
+///
+/// A programmer writes [`first_counter`]; no image is programmed twice with the same one.
+#[repr(C, align(4))]
+pub struct FirstCounter {
+    magic: [u8; 8],
+    first: u32,
+}
+
+const _: () = assert!(size_of::<FirstCounter>() == COUNTER_LEN);
+
+impl FirstCounter {
+    /// Zero until a programmer says otherwise.
+    #[must_use]
+    #[allow(clippy::new_without_default, reason = "it is for a static")]
+    pub const fn new() -> Self {
+        Self { magic: COUNTER_MAGIC, first: 0 }
+    }
+
+    /// What the place says now.
+    #[must_use]
+    pub fn read(&'static self) -> u32 {
+        let &Self { first, .. } = black_box(self);
+        first
+    }
+}
+
+/// The counter to begin with for a mote that is programmed now: minutes since 2025 began (UTC), times 1024. A mote that
+/// sends no more than 17 frames a second never overtakes it; it lasts until 2032.
+#[must_use]
+pub const fn first_counter(unix_seconds: u64) -> u32 {
+    let minutes = unix_seconds.saturating_sub(1_735_689_600) / 60;
+    if minutes >= 1 << 22 { u32::MAX } else { (minutes as u32) << 10 }
+}

@@ -21,6 +21,8 @@ pub mod track;
 
 pub mod frame;
 
+pub mod send;
+
 pub mod identity;
 
 pub mod chain;
@@ -39,6 +41,7 @@ mod on_target {
     mod frame;
     mod ootx;
     mod pulse;
+    mod send;
     mod sweep;
 }
 

@@ -151,6 +151,12 @@ impl State {
         self.bad
     }
 
+    /// Whether the latest bit was the one that ends a preamble: the same flash for all who hear that station.
+    #[must_use]
+    pub const fn is_at_start(&self) -> bool {
+        self.place == LENGTH && self.bits == 0
+    }
+
     /// Whether bits go by unread.
     #[must_use]
     pub const fn is_resting(&self) -> bool {

@@ -117,7 +117,7 @@ impl App {
 #[test]
 fn the_two_halves_between_their_queues_report_what_the_whole_path_does() {
     let mut app = App::new(room::CONFIG, (Reset::PowerOn, 0));
-    let mut chain = Chain::default();
+    let mut chain = Chain::of_mote(HEADER.mote);
     let mut expected = Vec::new();
     for (_, pulse) in LIGHT.pulses(0, 600) {
         app.pulse(pulse);

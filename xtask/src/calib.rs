@@ -4,6 +4,8 @@
 
 #[path = "../../calib/firmware.rs"]
 pub mod firmware;
+#[path = "../../calib/key.rs"]
+pub mod key;
 #[path = "../../calib/quantise.rs"]
 pub mod quantise;
 #[path = "../../calib/schema.rs"]

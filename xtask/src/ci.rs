@@ -49,6 +49,8 @@ pub(crate) fn ci() -> Result<()> {
     if let Err(error) = setup::broker() {
         println!("{error:#}; the tests that need a broker are skipped");
     }
+    // The tests that ask it are skipped without.
+    tally.check("tshark", setup::tshark);
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("what the texts claim", || claims(&claims::Arguments::AFTER_BENCH));

@@ -10,6 +10,7 @@ use anyhow::{Context, Result, anyhow};
 use xtask::calib::{self, Calibration};
 use xtask::flash::{self, Board, Workshop};
 use xtask::listen;
+use xtask::trust;
 
 use crate::process::{cargo, root, run, run_aside};
 use crate::setup;
@@ -68,7 +69,10 @@ pub(crate) fn build_for(
     run: fn(&mut Command) -> Result<()>,
 ) -> Result<PathBuf> {
     setup::target(target)?;
-    let arguments = ["build", "--release", "--bin", name, "--features", name, "--target", target];
+    let keyed = calib::schema::open(calib)?.mote.with("LIGHTHOUSE_MOTE", mote)?.key.is_some()
+        || trust::key_of_environment()?.is_some();
+    let features = if keyed { format!("{name},security") } else { name.to_string() };
+    let arguments = ["build", "--release", "--bin", name, "--features", &features, "--target", target];
     let calib = calib.canonicalize().with_context(|| calib.display().to_string())?;
     run(cargo(&arguments).env("LIGHTHOUSE_CALIB", &calib).env("LIGHTHOUSE_MOTE", mote))?;
     Ok(target_dir()?.join(target).join("release").join(name))

@@ -20,9 +20,10 @@ pub mod tray;
 
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, ensure};
+use lighthouse_mote::identity::first_counter;
 use sim::elf;
 
 use identity::Change;
@@ -249,7 +250,8 @@ enum Program {
 
 impl Program {
     fn of(board: Board, elf: &[u8], change: Change) -> Result<Self> {
-        let bytes = identity::patch(elf, change)?;
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+        let bytes = identity::count_from(&identity::patch(elf, change)?, first_counter(now))?;
         // A board whose firmware has no block has the id of its room.
         let name = match identity::read(&bytes) {
             Ok(identity) => format!("{}-{}", board.name(), identity.mote),

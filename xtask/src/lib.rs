@@ -20,3 +20,5 @@ pub mod recording;
 pub mod reference;
 pub mod score;
 pub mod svg;
+pub mod swarm;
+pub mod trust;

@@ -92,6 +92,11 @@ enum Verb {
     /// A SCuM-3C through an nRF52840-DK or a Teensy on a serial port, an nRF52840 through probe-rs. docs/flashing.md has
     /// the wires and the formats.
     Flash(flash::Arguments),
+    /// Count how many motes a channel carries: frames of real length, motes in the same light, ways to send side by side
+    ///
+    /// Prints what a swarm loses at each rate and how many motes there may be, beside the 2020 paper's way of sending raw
+    /// timings, and writes target/swarm: loss.svg. docs/air.md has what follows from it.
+    Swarm(xtask::swarm::Arguments),
     /// Run every test: on this computer, and on an emulated Cortex-M0 like the one in the mote
     ///
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
@@ -148,6 +153,10 @@ fn main() -> ExitCode {
         Verb::Listen(arguments) => firmware::listen(&arguments).map(|()| 0),
         Verb::Replay(arguments) => xtask::listen::replay(&arguments).map(|()| 0),
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
+        Verb::Swarm(arguments) => {
+            let build = |mote: &str| firmware::scum3c(&process::root().join(firmware::DEFAULT_CALIB), mote);
+            xtask::swarm::swarm(&arguments, &build).map(|()| 0)
+        }
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),
         Verb::Claims(arguments) => claims::claims(&arguments).map(|()| 0),

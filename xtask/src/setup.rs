@@ -100,6 +100,15 @@ pub(crate) fn broker() -> Result<()> {
     install("mosquitto")
 }
 
+/// Makes sure that there is a tshark, which the tests of what Wireshark shows ask.
+pub(crate) fn tshark() -> Result<()> {
+    if runs(Command::new("tshark").arg("--version")) {
+        return Ok(());
+    }
+    println!("tshark is not installed: installing the package tshark through apt-get.");
+    install("tshark").map_err(|error| anyhow!("tshark could not be installed ({error:#}); install it and try again"))
+}
+
 fn has_board() -> bool {
     let asked = Command::new(qemu::PROGRAM).args(["-machine", "help"]).stdin(Stdio::null()).output();
     asked.is_ok_and(|asked| String::from_utf8_lossy(&asked.stdout).lines().any(|line| line.starts_with(qemu::MACHINE)))

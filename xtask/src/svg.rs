@@ -80,7 +80,7 @@ pub struct Curve {
 }
 
 /// The colours of curves, in order.
-const CURVES: [&str; 3] = [BLUE, DOTS, INK];
+const CURVES: [&str; 5] = [BLUE, DOTS, INK, "#3f9c6b", "#8b5fbf"];
 /// Left edge, top, width and height of the frame of a picture of curves, and the picture's own width and height.
 const PLOT: (f64, f64, f64, f64) = (76.0, 104.0, 560.0, 280.0);
 const PLOT_SIZE: (f64, f64) = (664.0, 440.0);
@@ -121,9 +121,9 @@ pub fn draw_curves(title: &str, across: &str, up: &str, curves: &[Curve]) -> Str
             svg,
             r#"<path d="{path}" fill="none" stroke="{colour}" stroke-width="{wide:.1}" stroke-linejoin="round" stroke-linecap="round"/>"#
         );
-        let x = left + 190.0 * n as f64;
-        line(&mut svg, (x, 74.0), (x + 22.0, 74.0), &format!(r#"stroke="{colour}" stroke-width="{wide:.1}""#));
-        text(&mut svg, x + 28.0, 78.0, "", &curve.name);
+        let (x, y) = (left + 190.0 * (n % 3) as f64, 74.0 + 17.0 * (n / 3) as f64);
+        line(&mut svg, (x, y), (x + 22.0, y), &format!(r#"stroke="{colour}" stroke-width="{wide:.1}""#));
+        text(&mut svg, x + 28.0, y + 4.0, "", &curve.name);
     }
     frame(&mut svg, left, top, width, height, &format!(r#"fill="none" stroke="{SOFT}" stroke-width="0.8""#));
     let style = r#"font-size="13" text-anchor="middle""#;

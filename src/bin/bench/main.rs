@@ -26,6 +26,7 @@ use lighthouse_mote::angle::{self, Bearing};
 use lighthouse_mote::chain::{Classifier, Flashes, Seen, Sighting, Solver};
 use lighthouse_mote::edge::Edge;
 use lighthouse_mote::fix::{self, Angle, Solution};
+use lighthouse_mote::frame::secured::Key;
 use lighthouse_mote::frame::{self, Aligned, Header, Level, Report};
 use lighthouse_mote::pulse::{self, Pulse};
 use lighthouse_mote::sweep::{self, Axis, HalfTurn, Light, Station, Sweep};
@@ -83,6 +84,8 @@ struct Rig {
     lit: Sighting,
     report: Report,
     frame: Aligned,
+    key: Key,
+    counter: u32,
     pulses: pulse::State,
     sweeps: sweep::State,
     angles: angle::State,
@@ -141,6 +144,8 @@ pub extern "C" fn reset() {
         lit: nothing_seen(),
         report: Report::default(),
         frame: Aligned::BLANK,
+        key: Key::new(b"a room of its ow"),
+        counter: 0,
         pulses: pulse::State::default(),
         sweeps: sweep::State::default(),
         angles: angle::State::default(),
@@ -362,6 +367,14 @@ pub extern "C" fn stage_frame(_: u32, _: u32) -> u32 {
     rig.frame.bytes().len() as u32
 }
 
+/// The frame under the room's key; 1 when it was a plain one.
+#[unsafe(no_mangle)]
+pub extern "C" fn stage_seal(_: u32, _: u32) -> u32 {
+    let rig = rig();
+    rig.counter += 1;
+    u32::from(rig.key.seal(&mut rig.frame, rig.counter))
+}
+
 /// A variance to a standard deviation.
 #[unsafe(no_mangle)]
 pub extern "C" fn stage_root(variance: u32, _: u32) -> u32 {
@@ -426,8 +439,11 @@ const WALK: [(&str, Stage, u32); 9] = [
 
 /// What the program itself does not call, so that the linker keeps it.
 #[used]
-static FOR_THE_HOST: ([extern "C" fn() -> u32; 2], [extern "C" fn(); 2], [Stage; 4]) =
-    ([pass_on, start_track], [darken, relight], [stage_classify, stage_solve, stage_root, reference_root_f32]);
+static FOR_THE_HOST: ([extern "C" fn() -> u32; 2], [extern "C" fn(); 2], [Stage; 5]) = (
+    [pass_on, start_track],
+    [darken, relight],
+    [stage_classify, stage_solve, stage_seal, stage_root, reference_root_f32],
+);
 
 /// Ticks that so many steps take.
 #[inline(never)]

@@ -12,4 +12,6 @@ pub mod crumb;
 pub mod edges;
 pub mod queue;
 pub mod room;
+#[cfg(feature = "security")]
+pub mod seal;
 pub mod stages;

@@ -15,6 +15,8 @@ use lighthouse_mote::sweep::HalfTurn;
 use lighthouse_mote::time::{Span, Ticks};
 
 use super::queue::{Queue, Reader, Writer};
+#[cfg(feature = "security")]
+use super::seal::Seal;
 
 /// What the stages need of a board.
 pub trait Board {
@@ -236,7 +238,15 @@ impl<B: Board> Solve<B> {
         frames: Frames<B>,
         reset: (Reset, u32),
     ) -> Self {
-        Self { solver: Solver::default(), batch: Batch::default(), sightings, tales, frames, reset }
+        let solver = Solver::of_mote(frames.header.mote);
+        Self { solver, batch: Batch::default(), sightings, tales, frames, reset }
+    }
+
+    /// Secures every frame from now on.
+    #[cfg(feature = "security")]
+    pub fn under(mut self, seal: Option<Seal>) -> Self {
+        self.frames.seal = seal;
+        self
     }
 
     /// Takes the oldest sighting, or what was told where there is none; one at a time as [`Classify::run`].
@@ -294,13 +304,22 @@ pub struct Frames<B: Board> {
     queue: Writer<Aligned, FRAMES>,
     header: Header,
     lost: u16,
+    #[cfg(feature = "security")]
+    seal: Option<Seal>,
     board: PhantomData<B>,
 }
 
 impl<B: Board> Frames<B> {
     /// Writes `queue` as `header` says, its sequence the first.
     pub const fn new(queue: Writer<Aligned, FRAMES>, header: Header) -> Self {
-        Self { queue, header, lost: 0, board: PhantomData }
+        Self {
+            queue,
+            header,
+            lost: 0,
+            #[cfg(feature = "security")]
+            seal: None,
+            board: PhantomData,
+        }
     }
 
     /// Frames that there was no room for, or that the radio gave up, wrapping.
@@ -311,7 +330,13 @@ impl<B: Board> Frames<B> {
     /// Has a frame made; whether there was room for it.
     #[inline(always)]
     fn put(&mut self, emit: impl FnOnce(&mut Aligned, Header)) -> bool {
-        let sent = self.queue.fill(|frame| emit(frame, self.header));
+        let sent = self.queue.fill(|frame| {
+            emit(frame, self.header);
+            #[cfg(feature = "security")]
+            if let Some(seal) = &mut self.seal {
+                seal.seal(frame);
+            }
+        });
         let count = if sent { &mut self.header.sequence } else { &mut self.lost };
         *count = count.wrapping_add(1);
         sent

@@ -59,6 +59,16 @@ impl mote::stages::Board for Nrf52840 {
 #[used]
 static IDENTITY: Block = mote::room::identity(identity::READS_ADDRESS | identity::READS_CHANNEL);
 
+/// Where the frame counter begins; a programmer overwrites it.
+#[cfg(feature = "security")]
+#[used]
+static FIRST: identity::FirstCounter = identity::FirstCounter::new();
+
+// SAFETY: `.uninit` is ordinary RAM that start-up leaves alone (cortex-m-rt's link.x); any bits are a valid `Kept`.
+#[cfg(feature = "security")]
+#[unsafe(link_section = ".uninit.counter")]
+static KEPT: mote::seal::Kept = mote::seal::Kept::new();
+
 #[rtic::app(device = nrf_pac, peripherals = false)]
 mod app {
     use nrf_pac::Interrupt;
@@ -68,6 +78,10 @@ mod app {
     use crate::cause::Boot;
     use crate::clock::{self, Alarm, SECOND};
     use crate::mote::room::CONFIG;
+    #[cfg(feature = "security")]
+    use crate::mote::room::KEY;
+    #[cfg(feature = "security")]
+    use crate::mote::seal::Seal;
     use crate::mote::stages::{Classify, Queues, Solve};
     use crate::psdu::{Channel, Psdu};
     use crate::radio::Radio;
@@ -108,6 +122,8 @@ mod app {
 
         let (capture, pulses) = capture::split(cx.local.pulses);
         let (classify, solve, frames) = cx.local.queues.wire(pulses, identity, boot.reset());
+        #[cfg(feature = "security")]
+        let solve = solve.under(KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
         (
             Shared { classify, radio: Radio::new(frames, cx.local.psdu, channel) },
             Local { capture, solve, watchdog, boot },

@@ -60,6 +60,16 @@ static IDENTITY: Block = {
     Block::new(baked, identity::READS_ADDRESS | identity::READS_CHANNEL)
 };
 
+/// Where the frame counter begins; a programmer overwrites it.
+#[cfg(feature = "security")]
+#[used]
+static FIRST: identity::FirstCounter = identity::FirstCounter::new();
+
+// SAFETY: `.uninit` is ordinary RAM that start-up leaves alone (cortex-m-rt's link.x); any bits are a valid `Kept`.
+#[cfg(feature = "security")]
+#[unsafe(link_section = ".uninit.counter")]
+static KEPT: mote::seal::Kept = mote::seal::Kept::new();
+
 #[rtic::app(device = crate::pac, peripherals = false)]
 mod app {
     use lighthouse_mote::frame::{Header, Reset};
@@ -67,6 +77,8 @@ mod app {
     use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
     use crate::image::{self, Image};
+    #[cfg(feature = "security")]
+    use crate::mote::seal::Seal;
     use crate::mote::stages::{Air, Classify, Frames, Sightings, Solve, Tales};
     use crate::pac::Interrupt;
     use crate::radio::Radio;
@@ -113,13 +125,16 @@ mod app {
             (_, None) => (Reset::PowerOn, 0),
         };
         let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
+        let solve = Solve::new(sightings, tales, Frames::new(to_radio, header), reset);
+        #[cfg(feature = "security")]
+        let solve = solve.under(crate::calib::KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
         (
             Shared {
                 capture,
                 classify: Classify::new(pulses, to_solve, to_tell),
                 radio: Radio::new(frames, identity.channel),
             },
-            Local { solve: Solve::new(sightings, tales, Frames::new(to_radio, header), reset) },
+            Local { solve },
         )
     }
 

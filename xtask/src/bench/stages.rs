@@ -31,7 +31,7 @@ const SAME_M: f64 = 0.15;
 const SAME_ROOT: f64 = 0.07;
 
 /// What is counted, the function that is called, and what to call it in the table.
-pub(super) const STAGES: [(&str, &str, &str); 18] = [
+pub(super) const STAGES: [(&str, &str, &str); 19] = [
     ("empty", "stage_empty", "a call of nothing"),
     ("pulse", "stage_pulse", "pulse, both edges"),
     ("sweep_sync", "stage_sweep", "sweep, a flash"),
@@ -41,6 +41,7 @@ pub(super) const STAGES: [(&str, &str, &str); 18] = [
     ("track", "stage_track", "track, believed"),
     ("report", "stage_solve", "report, with the fix for its mismatch"),
     ("frame", "stage_frame", "frame"),
+    ("seal", "stage_seal", "frame, secured: MIC-32 by AES-CCM*"),
     ("classify_sync", "stage_classify", "first half at once, a flash"),
     ("classify_laser", "stage_classify", "first half at once, a laser"),
     ("solve", "stage_solve", "second half at once, a laser"),
@@ -217,6 +218,9 @@ fn second_half(rig: &mut Rig, lasers: u32, count: &mut impl FnMut(&'static str, 
         if report.r0 == 1 {
             count("report", report);
             count("frame", rig.call("stage_frame", &[])?);
+            let seal = rig.call("stage_seal", &[])?;
+            ensure!(seal.r0 == 1, "a frame that cannot be secured");
+            count("seal", seal);
         }
         rig.call("relight", &[])?;
     }

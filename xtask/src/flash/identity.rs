@@ -85,20 +85,45 @@ pub fn patch(elf: &[u8], change: Change) -> Result<Vec<u8>, Fixed> {
     Ok(patched)
 }
 
-/// The block: where in the file, and what it says.
-fn find(elf: &[u8]) -> Result<(usize, Identity, Reads), Fixed> {
+/// The program with its frame counter beginning at `first`, if its frames are secured; as it was if not.
+///
+/// # Errors
+/// The file is no program, or has several such places.
+pub fn count_from(elf: &[u8], first: u32) -> Result<Vec<u8>, Fixed> {
+    let places = places(elf, &identity::COUNTER_MAGIC, identity::COUNTER_LEN)?;
+    let mut patched = elf.to_vec();
+    match places[..] {
+        [] => Ok(patched),
+        [at] => {
+            let at = at + identity::COUNTER_MAGIC.len();
+            patched[at..at + 4].copy_from_slice(&first.to_le_bytes());
+            Ok(patched)
+        }
+        _ => Err(Fixed::Several(places.len())),
+    }
+}
+
+/// Where in the file words of the program begin with `magic`.
+fn places(elf: &[u8], magic: &[u8], len: usize) -> Result<Vec<usize>, Fixed> {
     let program = elf::read(elf).map_err(Fixed::Elf)?;
     let mut found = Vec::new();
     for segment in &program.segments {
-        for (at, bytes) in segment.bytes.windows(identity::LEN).enumerate() {
-            if (segment.load_address as usize + at).is_multiple_of(4) && bytes.starts_with(&identity::MAGIC) {
-                found.push((segment.offset + at, bytes));
+        for (at, bytes) in segment.bytes.windows(len).enumerate() {
+            if (segment.load_address as usize + at).is_multiple_of(4) && bytes.starts_with(magic) {
+                found.push(segment.offset + at);
             }
         }
     }
-    let [(at, bytes)] = found[..] else {
+    Ok(found)
+}
+
+/// The block: where in the file, and what it says.
+fn find(elf: &[u8]) -> Result<(usize, Identity, Reads), Fixed> {
+    let found = places(elf, &identity::MAGIC, identity::LEN)?;
+    let [at] = found[..] else {
         return Err(if found.is_empty() { Fixed::None } else { Fixed::Several(found.len()) });
     };
+    let bytes = &elf[at..at + identity::LEN];
     let block = bytes.first_chunk().and_then(identity::parse);
     let (identity, reads) = block.ok_or(Fixed::Version(bytes[identity::MAGIC.len()]))?;
     Ok((at, identity, reads))

@@ -10,6 +10,7 @@ use lighthouse_mote::chain::{Classifier, Config, Ears, Estimate, Seen, Sighting,
 use lighthouse_mote::frame::{Health, Lock};
 use lighthouse_mote::ootx::{self, Block};
 use lighthouse_mote::pulse::Pulse;
+use lighthouse_mote::send;
 use lighthouse_mote::sweep::{self, Station, Sweep};
 use lighthouse_mote::time::{Span, Ticks};
 use lighthouse_mote::{angle, fix, track};
@@ -103,6 +104,7 @@ impl Player {
             room: track::Room { stations: [nowhere, nowhere] },
             estimate: Estimate::Angles,
             report_every_half_turns: 1,
+            send: send::Config::default(),
         };
         Ok(Self {
             config,

@@ -1,0 +1,211 @@
+//! When a mote sends: in a half turn of its own, by dice, or as it comes; and only what is new, if that is asked for.
+//!
+//! All motes of a room see the same light, so those that report every so many half turns on their own do it in step: two
+//! that fell into the same half turn stay there and are never heard. But what they see also numbers the half turns for
+//! all of them: station A repeats its frame every [`FRAME_BITS`] flashes, one flash a half turn. A mote that has seen it
+//! begin once counts along, and sends in the half turns whose number is its own ([`slot`]). Nobody listens to anybody.
+//!
+//! A half turn holds one report and a health frame behind it, 5.5 ms. The laser passes within it, so the two may end in
+//! the next one, but hardly ever before that one's laser has passed; a slot is therefore one half turn, and the first half
+//! of the motes get every second one.
+//!
+//! What can go wrong: until the frame was seen to begin, 18 flashes without a gap, the count is the mote's own: 1.5 s on
+//! average in full light, 6 s where one flash in twenty is lost. More motes than slots: two share one for good, so `every` is to be no less than there are motes. Slots come round with
+//! the frame, at its end a little early or late.
+
+use crate::frame::{Level, Report};
+use crate::ootx::FRAME_BITS;
+use crate::sweep::HalfTurn;
+use crate::time::{Span, Ticks};
+
+/// How a mote decides.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Config {
+    /// Which half turns are its own.
+    pub when: When,
+    /// A report goes out where the mote has moved by more than this along an axis since the last one, Q16 m, and by more
+    /// than its standard deviation; 0 sends every one.
+    pub moved_q16: u32,
+    /// Of a mote that rests, one report in so many half turns. One second is 120.
+    pub heartbeat_half_turns: u16,
+}
+
+/// Which half turns are a mote's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum When {
+    /// Every so many since the last report.
+    #[default]
+    Steady,
+    /// The same on average: dice of each mote throw the distance, half to one and a half of it.
+    Jittered,
+    /// Those of its [`slot`]; at most [`FRAME_BITS`] apart.
+    Slotted,
+}
+
+/// The half turn of `every` that is a mote's own: 0, 2, 4 .. for the first half of them, then 1, 3, 5 ..
+#[must_use]
+#[inline]
+pub const fn slot(mote: u16, every: u16) -> u16 {
+    let every = if every == 0 { 1 } else { every };
+    let twice = 2 * remainder(mote, every) as u32;
+    let again = (every - 1) as u32 | 1;
+    (if twice >= every as u32 { twice - again } else { twice }) as u16
+}
+
+/// `number` modulo `every`, which is not 0, without a division: the core has no instruction for it.
+#[inline]
+const fn remainder(number: u16, every: u16) -> u16 {
+    if every.is_power_of_two() {
+        return number & (every - 1);
+    }
+    let (mut left, every) = (number as u32, every as u32);
+    let mut part = every;
+    while part <= left {
+        part <<= 1;
+    }
+    while part > every {
+        part >>= 1;
+        if left >= part {
+            left -= part;
+        }
+    }
+    left as u16
+}
+
+/// Where a mote is in its rounds.
+#[derive(Debug, Clone, Default)]
+pub struct State {
+    mote: u16,
+    /// Slotted: half turns since station A's frame began, below [`FRAME_BITS`]. By dice: half turns to go to the next one.
+    count: u16,
+    /// When the latest half turn began.
+    began: Option<Ticks>,
+    /// Zero before the first throw.
+    dice: u32,
+    sent: Option<Sent>,
+}
+
+/// The last report.
+#[derive(Debug, Clone, Copy)]
+struct Sent {
+    position: [i32; 3],
+    level: Level,
+    /// Half turns ago.
+    age: u16,
+}
+
+impl Config {
+    /// Whether half turns are counted for it.
+    #[must_use]
+    pub const fn counts(&self) -> bool {
+        !matches!(self.when, When::Steady) || self.moved_q16 != 0
+    }
+}
+
+impl State {
+    /// Of the mote with that short address.
+    #[must_use]
+    pub fn new(mote: u16) -> Self {
+        Self { mote, ..Self::default() }
+    }
+
+    /// The light was lost, and with it the count.
+    pub fn forget(&mut self) {
+        self.began = None;
+    }
+
+    /// Whether the latest half turn is its own.
+    #[inline(always)]
+    fn is_own(&self, when: When, every: u16) -> bool {
+        match when {
+            When::Steady => false,
+            When::Jittered => self.count == 0,
+            When::Slotted => remainder(self.count, every.max(1)) == slot(self.mote, every),
+        }
+    }
+
+    /// One half turn more.
+    #[inline(always)]
+    fn advance(&mut self, config: &Config, every: u16) {
+        if config.moved_q16 != 0
+            && let Some(sent) = &mut self.sent
+        {
+            sent.age = sent.age.saturating_add(1);
+        }
+        match config.when {
+            When::Steady => {}
+            When::Jittered => self.count = if self.count > 0 { self.count - 1 } else { self.throw(every) },
+            When::Slotted => self.count = if self.count < FRAME_BITS - 1 { self.count + 1 } else { 0 },
+        }
+    }
+
+    /// Half turns to go to the one after the next: half of `every` to one and a half, less the one that begins.
+    fn throw(&mut self, every: u16) -> u16 {
+        if self.dice == 0 {
+            // Spread over all bits by 2^32 over the golden ratio; from there the generator never comes to zero.
+            self.dice = (u32::from(self.mote) + 1).wrapping_mul(0x9e37_79b9);
+        }
+        // Marsaglia's xorshift; its high bits, for the low ones are its worst.
+        self.dice ^= self.dice << 13;
+        self.dice ^= self.dice >> 17;
+        self.dice ^= self.dice << 5;
+        let spread = (self.dice >> 16) * (u32::from(every) + 1) >> 16;
+        (every / 2 + spread as u16).saturating_sub(1)
+    }
+
+    /// Whether `report` says more than the last one that went out, and if so, it goes.
+    #[inline]
+    pub fn is_news(&mut self, config: &Config, report: &Report) -> bool {
+        if config.moved_q16 == 0 {
+            return true;
+        }
+        let position = report.position.map(|axis| axis.to_bits());
+        let is_old = self.sent.is_some_and(|sent| {
+            sent.age < config.heartbeat_half_turns
+                && sent.level == report.level
+                && (0..3).all(|k| {
+                    position[k].abs_diff(sent.position[k]) <= config.moved_q16.max(u32::from(report.sd[k].to_bits()))
+                })
+        });
+        if !is_old {
+            self.sent = Some(Sent { position, level: report.level, age: 0 });
+        }
+        !is_old
+    }
+}
+
+/// Takes the half turn that began `before` ago at `at`: exactly, or about where that is a half turn or more. Whether a
+/// report is due in it, which for [`When::Steady`] others decide.
+///
+/// `starts`: its flash of station A ended the preamble of that station's frame. To be called for one half turn after
+/// another; those between that nobody saw are counted by their time.
+#[inline(always)]
+pub fn step(
+    config: &Config,
+    every: u16,
+    state: &mut State,
+    (at, before, half_turn): (Ticks, Span, HalfTurn),
+    starts: bool,
+) -> bool {
+    let began = at.before(before);
+    let length = half_turn.span().0;
+    let latest = state.began.replace(began);
+    if length == 0 {
+        return false;
+    }
+    if let Some(latest) = latest {
+        // At most the 48 that a cycle is carried on without light, and once round the counter where somebody errs.
+        let mut since = began.since(latest).0.wrapping_add(length / 2);
+        while since >= length {
+            since -= length;
+            state.advance(config, every);
+        }
+        if before.0 >= length {
+            state.began = Some(began.before(Span(since)).after(Span(length / 2)));
+        }
+    }
+    if config.when == When::Slotted && starts {
+        state.count = 0;
+    }
+    state.is_own(config.when, every)
+}

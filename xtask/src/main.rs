@@ -16,12 +16,14 @@ mod bench;
 mod ci;
 mod firmware;
 mod fuzz;
+mod lit;
 mod oracle;
 mod process;
 mod qemu;
 mod run;
 mod scenes;
 mod setup;
+mod soak;
 mod test;
 
 /// Motes that find their own position in the light of two Lighthouse stations
@@ -69,6 +71,11 @@ enum Verb {
     /// target/scenes: summary.json, range.svg, incidence.svg. A promise that is broken, or a figure that is not in
     /// tests/expected/scenes.txt, is an error.
     Scenes(scenes::Arguments),
+    /// Let one mote live for a day: hostile scenes and clear light in turn, its counter wrapping hundreds of times
+    ///
+    /// Runs the release firmware in the virtual mote. Prints a line for each half hour and the last hour beside the
+    /// first, and writes target/soak/summary.json. A crash, a lost frame, a drift, a wrong fix is an error.
+    Soak(soak::Arguments),
     /// Put the firmware onto a chip, or onto a tray of chips: release build with the room and the id, size, programming
     ///
     /// A SCuM-3C through an nRF52840-DK or a Teensy on a serial port, an nRF52840 through probe-rs. docs/flashing.md has
@@ -111,6 +118,7 @@ fn main() -> ExitCode {
         Verb::Pulses(arguments) => xtask::pulses::pulses(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
+        Verb::Soak(arguments) => soak::soak(&arguments).map(|()| 0),
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),
         Verb::Fuzz(arguments) => fuzz::fuzz(&arguments).map(|()| 0),

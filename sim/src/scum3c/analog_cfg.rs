@@ -80,7 +80,7 @@ impl Default for Clocks {
     }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct ScanChain {
     /// A ring: `newest` is where the bit shifted in last lies, older bits follow it.
     shift: [bool; SCAN_BITS],
@@ -121,7 +121,7 @@ impl ScanChain {
     }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct AnalogCfg {
     clocks: Clocks,
     hclk_hz: NonZeroU32,

@@ -171,7 +171,7 @@ impl fmt::Display for Why {
     }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 enum Load {
     Empty,
     Asked { dma: Dma, taken: bool, due: u64 },
@@ -179,13 +179,13 @@ enum Load {
     Ready(Vec<u8>),
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Sending {
     frame: SentFrame,
     sfd_at: Option<u64>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct RfController {
     address: u32,
     len: u32,

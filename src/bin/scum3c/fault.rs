@@ -26,6 +26,10 @@ pub enum Kind {
     HardFault = 2,
     /// The log was taken while it was taken.
     Log = 3,
+    /// No frame left for seconds.
+    Watchdog = 4,
+    /// An exception that nobody handles.
+    Stray = 5,
 }
 
 /// What was left.
@@ -44,6 +48,7 @@ impl Crash {
     pub const fn reset(&self) -> Reset {
         match self.kind {
             kind if kind == Kind::HardFault as u32 => Reset::Fault,
+            kind if kind == Kind::Watchdog as u32 => Reset::Watchdog,
             _ => Reset::Panic,
         }
     }
@@ -97,4 +102,10 @@ fn panic(info: &PanicInfo) -> ! {
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     reset(Kind::HardFault, frame.pc())
+}
+
+// SAFETY: as for `HardFault`. A supervisor call that nobody wrote would otherwise loop above every other priority.
+#[exception]
+unsafe fn DefaultHandler(line: i16) -> ! {
+    reset(Kind::Stray, line as u32)
 }

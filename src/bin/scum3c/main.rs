@@ -6,6 +6,7 @@
 //! | priority | task | line | does |
 //! |---|---|---|---|
 //! | 4 | `rise`, `fall` | 12, 13 | stamp the light |
+//! | 4 | `watch` | SysTick | starts a mote anew that no longer speaks |
 //! | 3 | `classify`, `second` | 4, 10 | pulses to sightings |
 //! | 2 | `radio`, `alarm` | 6, 7 | frames onto the air |
 //! | 1 | `solve` | 5 | sightings to frames |
@@ -26,6 +27,7 @@ mod radio;
 mod rf_timer;
 mod stages;
 mod uart_log;
+mod watchdog;
 
 use lighthouse_mote::identity::{self, Block, Identity};
 
@@ -43,7 +45,7 @@ static IDENTITY: Block = {
 
 #[rtic::app(device = crate::pac, peripherals = false)]
 mod app {
-    use lighthouse_mote::frame::{Header, Reset};
+    use lighthouse_mote::frame::Reset;
 
     use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
@@ -51,7 +53,7 @@ mod app {
     use crate::radio::{Frames as Air, Radio};
     use crate::rf_timer::{self, Alarm, SECOND};
     use crate::stages::{Classify, Frames, Sightings, Solve, Tales};
-    use crate::{bring_up, fault, uart_log};
+    use crate::{bring_up, fault, uart_log, watchdog};
 
     #[shared]
     struct Shared {
@@ -78,19 +80,23 @@ mod app {
         rf_timer::start();
         rf_timer::arm(Alarm::Second, SECOND);
         let crash = fault::last();
-        let identity = crate::IDENTITY.read();
-        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", identity.mote, crash);
+        defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", crate::IDENTITY.read().mote, crash);
 
+        watchdog::start();
         let (capture, pulses) = capture::start();
         let (to_solve, sightings) = cx.local.sightings.split();
         let (to_tell, tales) = cx.local.tales.split();
         let (to_radio, frames) = cx.local.frames.split();
         let reset = crash.map_or((Reset::PowerOn, 0), |crash| (crash.reset(), crash.at));
-        let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
         (
             Shared { capture, classify: Classify::new(pulses, to_solve, to_tell), radio: Radio::new(frames) },
-            Local { solve: Solve::new(sightings, tales, Frames::new(to_radio, header), reset) },
+            Local { solve: Solve::new(sightings, tales, Frames::new(to_radio), reset) },
         )
+    }
+
+    #[task(binds = SysTick, priority = 4)]
+    fn watch(_: watch::Context) {
+        watchdog::round();
     }
 
     #[task(binds = GPIO8, priority = 4, shared = [capture])]

@@ -152,6 +152,23 @@ pub mod scb {
     pub const SLEEP_ON_EXIT: u32 = 1 << 1;
 }
 
+/// The core's own timer (ARMv6-M ARM, B3.3).
+pub mod systick {
+    use super::Reg;
+
+    /// [`ENABLE`], [`INTERRUPT`], [`CORE_CLOCK`].
+    pub const CONTROL: Reg<0xe000_e010> = Reg(());
+    /// Where it starts down from.
+    pub const RELOAD: Reg<0xe000_e014> = Reg(());
+
+    /// Count.
+    pub const ENABLE: u32 = 1;
+    /// Interrupt at zero.
+    pub const INTERRUPT: u32 = 2;
+    /// Count cycles of the core.
+    pub const CORE_CLOCK: u32 = 4;
+}
+
 /// The radio controller (`memory_map.h:25-79`).
 pub mod rf {
     use super::Reg;

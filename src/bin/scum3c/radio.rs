@@ -18,6 +18,7 @@ use lighthouse_mote::time::Span;
 use crate::pac::{analog, rf};
 use crate::queue::{Queue, Reader};
 use crate::rf_timer::{self, Alarm};
+use crate::watchdog;
 
 /// Supplies and frame need 50 us before the send (`radio.c:176`): 1000 ticks are that even at twice 10 MHz.
 const SETTLE: Span = Span(1000);
@@ -100,6 +101,7 @@ impl Radio {
         let done = rf::INT.read();
         rf::INT_CLEAR.write(done);
         if done & rf::TX_SEND_DONE != 0 && self.state == State::Sending {
+            watchdog::feed();
             self.rest();
         }
         if self.state == State::Off

@@ -8,6 +8,7 @@ use core::sync::atomic::{AtomicU16, Ordering};
 
 use lighthouse_mote::chain::{Batch, Classifier, Config, Estimate, Seen, Sighting, Solver, Understood};
 use lighthouse_mote::frame::{self, Aligned, Header, Report, Reset};
+use lighthouse_mote::identity::Identity;
 use lighthouse_mote::sweep::HalfTurn;
 use lighthouse_mote::time::{Span, Ticks};
 
@@ -202,14 +203,15 @@ impl Solve {
 /// The way onto the air: frames made where the radio sends them from.
 pub struct Frames {
     queue: Writer<Aligned, { radio::FRAMES }>,
-    header: Header,
+    /// Of the next frame.
+    sequence: u16,
     lost: u16,
 }
 
 impl Frames {
-    /// Writes `queue` as `header` says, its sequence the first.
-    pub const fn new(queue: Writer<Aligned, { radio::FRAMES }>, header: Header) -> Self {
-        Self { queue, header, lost: 0 }
+    /// Writes `queue`.
+    pub const fn new(queue: Writer<Aligned, { radio::FRAMES }>) -> Self {
+        Self { queue, sequence: 0, lost: 0 }
     }
 
     /// Frames that there was no room for, or that the radio gave up, wrapping.
@@ -220,8 +222,9 @@ impl Frames {
     /// Has a frame made; whether there was room for it.
     #[inline(always)]
     fn put(&mut self, emit: impl FnOnce(&mut Aligned, Header)) -> bool {
-        let sent = self.queue.fill(|frame| emit(frame, self.header));
-        let count = if sent { &mut self.header.sequence } else { &mut self.lost };
+        let header = header(self.sequence);
+        let sent = self.queue.fill(|frame| emit(frame, header));
+        let count = if sent { &mut self.sequence } else { &mut self.lost };
         *count = count.wrapping_add(1);
         sent
     }
@@ -235,4 +238,11 @@ impl Frames {
         losses.reports = self.lost();
         self.put(|frame, header| frame::emit_into(frame, header, &report))
     }
+}
+
+/// Who this mote is, read anew for each frame: a copy whose bits flip would give this mote's place as another's.
+#[inline(never)]
+fn header(sequence: u16) -> Header {
+    let Identity { mote, pan, .. } = crate::IDENTITY.read();
+    Header { pan, mote, sequence }
 }

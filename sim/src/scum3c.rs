@@ -585,4 +585,52 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn a_timer_that_fails_stands_still_whatever_it_is_told_and_then_goes_on() {
+        let mut chip = Scum3c::new(Config::default());
+        put(&mut chip, RFTIMER, 0x7, 0);
+        chip.fail(Failure::Timer, 1_000, 5_000);
+        put(&mut chip, RFTIMER, 0x3, 2_000);
+        assert_eq!(get(&mut chip, RFTIMER + 4, 4_999), 1_000);
+        assert_eq!(get(&mut chip, RFTIMER + 4, 6_000), 2_000);
+    }
+
+    #[test]
+    fn a_radio_that_fails_is_done_when_it_works_again() {
+        let mut chip = Scum3c::new(Config::default());
+        put(&mut chip, RF + 0x14, 0x4, 0);
+        switch_transmitter_on(&mut chip, 0);
+        ask_for_load(&mut chip, 9, 1_000);
+        answer(&mut chip);
+        put(&mut chip, RF, 2, 2_000);
+        chip.fail(Failure::Radio, 2_100, 1_000_000);
+        chip.advance(999_999);
+        assert_eq!(chip.lines(), DARK);
+        chip.advance(1_000_000);
+        assert_eq!(chip.lines(), DARK | 1 << IRQ_RF);
+        assert_eq!(chip.take_frames().len(), 1);
+    }
+
+    #[test]
+    fn lines_that_fail_are_active_for_as_long() {
+        let mut chip = Scum3c::new(Config::default());
+        chip.fail(Failure::Lines(1 << 3), 10, 20);
+        assert_eq!(chip.lines(), DARK | 1 << 3);
+        chip.advance(20);
+        assert_eq!(chip.lines(), DARK);
+    }
+
+    #[test]
+    fn power_that_comes_again_finds_new_devices_in_the_same_light() {
+        let mut chip = Scum3c::new(Config::default());
+        chip.push_edge(100, true).unwrap();
+        chip.push_edge(900, false).unwrap();
+        put(&mut chip, RFTIMER, 0x7, 0);
+        chip.power_cycle(500);
+        assert_eq!(get(&mut chip, RFTIMER + 4, 600), 0);
+        assert_eq!(chip.lines(), LIGHT);
+        chip.advance(900);
+        assert_eq!(chip.lines(), DARK);
+    }
 }

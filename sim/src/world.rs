@@ -213,6 +213,14 @@ impl World {
         self.moved = stations.map(Station::after_its_move);
     }
 
+    /// Lets all light pass unmade that begins before `seconds`. Nothing changes in what comes after.
+    pub fn skip(&mut self, seconds: f64) {
+        while self.scene.timing.start_s(self.slot) < seconds {
+            self.slot += 1;
+        }
+        self.ahead.clear();
+    }
+
     /// The edges from here on, as an iterator.
     pub fn edges(&mut self) -> impl Iterator<Item = Edge> + '_ {
         core::iter::from_fn(|| self.next_edge())

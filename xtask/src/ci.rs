@@ -6,11 +6,13 @@
 use anyhow::Result;
 
 use crate::bench::{self, bench};
+use crate::faults::{self, faults};
 use crate::fuzz::{self, fuzz};
 use crate::oracle;
 use crate::process::{cargo, run};
 use crate::scenes::{self, scenes};
 use crate::setup;
+use crate::soak::{self, soak};
 use crate::test::{Tally, run_all};
 
 /// A board as cargo has to be told about it.
@@ -45,6 +47,8 @@ pub(crate) fn ci() -> Result<()> {
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
+    tally.check("soak, half a minute", || soak(&soak::Arguments::SHORT));
+    tally.check("faults, a few of each", || faults(&faults::Arguments::SHORT));
     tally.check("calibration beside OpenCV, 20 rooms", || oracle::oracle(20));
     tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));
     tally.close()

@@ -14,6 +14,7 @@ use xtask::flash;
 mod bake;
 mod bench;
 mod ci;
+mod faults;
 mod firmware;
 mod fuzz;
 mod lit;
@@ -76,6 +77,12 @@ enum Verb {
     /// Runs the release firmware in the virtual mote. Prints a line for each half hour and the last hour beside the
     /// first, and writes target/soak/summary.json. A crash, a lost frame, a drift, a wrong fix is an error.
     Soak(soak::Arguments),
+    /// Let the chip misbehave: bits of data RAM flip, power dips, lines storm, timer and radio stand still
+    ///
+    /// Runs the release firmware in the virtual mote, thousands of times from one settled state. Prints one table and
+    /// writes target/faults/summary.json. A wrong position reported as good for more than a second, or silence though
+    /// there is light, is an error.
+    Faults(faults::Arguments),
     /// Put the firmware onto a chip, or onto a tray of chips: release build with the room and the id, size, programming
     ///
     /// A SCuM-3C through an nRF52840-DK or a Teensy on a serial port, an nRF52840 through probe-rs. docs/flashing.md has
@@ -118,6 +125,7 @@ fn main() -> ExitCode {
         Verb::Pulses(arguments) => xtask::pulses::pulses(&arguments).map(|()| 0),
         Verb::Bench(arguments) => bench::bench(&arguments).map(|()| 0),
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
+        Verb::Faults(arguments) => faults::faults(&arguments).map(|()| 0),
         Verb::Soak(arguments) => soak::soak(&arguments).map(|()| 0),
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Test => test::test().map(|()| 0),

@@ -6,8 +6,8 @@
 //!
 //! # What must hold
 //! The mote starts once and never stops. Frames are numbered without a gap. Uptime never goes back. The measured half
-//! turn is the true one to [`HALF_TURN_WITHIN`] in clear light. No good fix is wrong but in the scenes that are known
-//! to make some. No figure of the last hour differs from the first's by more than rounds differ from each other, and
+//! turn is the true one to [`HALF_TURN_WITHIN`] in clear light. No good fix is wrong in clear light, and in the scenes no
+//! more than [`WRONG_SHARE`], those aside that are known to make some. No figure of the last hour differs from the first's by more than rounds differ from each other, and
 //! none has a trend ([`compare`]).
 //!
 //! What can go wrong: scenes that need another mote are not met: other clocks, a counter that is set, other pairs of
@@ -36,6 +36,12 @@ pub(crate) struct Arguments {
     /// Hours of mote time
     #[arg(long, default_value_t = 24.0, value_parser = hours)]
     hours: f64,
+    /// Keep the mote in the dark for so many hours first, to see soon what came late
+    #[arg(long, default_value_t = 0.0)]
+    from: f64,
+    /// A line for each scene as well
+    #[arg(long)]
+    each: bool,
     /// Which walk, which light, which order
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -43,7 +49,7 @@ pub(crate) struct Arguments {
 
 impl Arguments {
     /// Half a minute: the shortest that meets some scenes.
-    pub(crate) const SHORT: Self = Self { hours: 30.0 / 3600.0, seed: 1 };
+    pub(crate) const SHORT: Self = Self { hours: 30.0 / 3600.0, from: 0.0, each: false, seed: 1 };
 }
 
 fn hours(text: &str) -> Result<f64, String> {
@@ -64,6 +70,10 @@ const HALF_TURN_WITHIN: f64 = 5e-4;
 /// What a fix may take from light to air, seconds: the longest that one is held back is its half turn.
 const LATENCY_S: f64 = 0.025;
 
+/// Fixes of level full that may be wrong in hostile light: the scenes' own runs are short enough to have none, a day is
+/// not. 21 in a day of half a million were counted, most of them reflections that came alone.
+const WRONG_SHARE: f64 = 1e-4;
+
 /// Runs the soak, prints, judges.
 pub(crate) fn soak(arguments: &Arguments) -> Result<()> {
     let elf = firmware::scum3c(&root().join(firmware::DEFAULT_CALIB), "")?;
@@ -78,14 +88,25 @@ pub(crate) fn soak(arguments: &Arguments) -> Result<()> {
     let mut rounds: Vec<Round> = Vec::new();
     println!("{}", Round::HEADING);
     let mut halted = None;
-    for meeting in &plan.meetings {
+    let from_s = 3600.0 * arguments.from;
+    if from_s > 0.0 {
+        lit.world.skip(from_s);
+        lit.run_to(from_s)?;
+        lit.hear()?;
+        // The mote's start is in it.
+        watch.look(&mut lit)?;
+    }
+    for meeting in plan.meetings.iter().filter(|meeting| meeting.from_s >= from_s) {
         lit.world.meet(&meeting.scene.clone().later(meeting.from_s));
         watch.meets(meeting);
         let mut second = meeting.from_s;
         while second < meeting.to_s && halted.is_none() {
             second = (second + LOOK_S).min(meeting.to_s);
             halted = lit.run_to(second)?;
-            watch.look(&mut lit, second)?;
+            watch.look(&mut lit)?;
+        }
+        if arguments.each {
+            println!("{}", watch.each(&lit));
         }
         if meeting.ends_round || halted.is_some() {
             let round = watch.close(&lit);

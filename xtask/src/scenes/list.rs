@@ -61,7 +61,7 @@ pub(crate) struct Take {
     /// When the mote's 32-bit counter wraps, true seconds; without it, as it comes.
     pub(crate) wrap_s: Option<f64>,
     /// Where no good fix can come for seconds: the mote's health names one of these reasons.
-    pub(crate) reasons: &'static [Reason],
+    pub(super) reasons: &'static [Reason],
 }
 
 fn take(length_s: f64, seed: u64) -> Take {

@@ -50,7 +50,11 @@ impl Comparison {
 
     pub(super) fn broken(&self) -> Vec<String> {
         let differs = |row: &&Row| !row.holds();
-        self.rows.iter().filter(differs).map(|row| format!("the last hour is not like the first: {}", row.name)).collect()
+        self.rows
+            .iter()
+            .filter(differs)
+            .map(|row| format!("the last hour is not like the first: {}", row.name))
+            .collect()
     }
 
     pub(super) fn summary(&self) -> Value {

@@ -10,10 +10,10 @@ use serde_json::{Value, json};
 use xtask::light::quantile;
 
 use super::plan::{CLEAR, Meeting};
-use super::{HALF_TURN_WITHIN, LATENCY_S};
+use super::{HALF_TURN_WITHIN, LATENCY_S, WRONG_SHARE};
 use crate::lit::{Fix, Lit, Said};
 use crate::run::Log;
-use crate::scenes::{known_wrong, list};
+use crate::scenes::known_wrong;
 
 /// What the mote logs when it starts.
 const BOOTED: &str = "lighthouse mote";
@@ -22,6 +22,8 @@ const LOCK_LOST: &str = "light lost";
 /// A scene's last wrong fixes may come while it is over, and what a scene has done to the tracker takes as long to go,
 /// seconds.
 const AFTERMATH_S: f64 = 2.0;
+/// The same after a scene that is known to break promises, seconds.
+const LONG_AFTERMATH_S: f64 = 10.0;
 
 /// What came of one round.
 #[derive(Debug, Clone, Default)]
@@ -149,6 +151,8 @@ pub(super) struct Life {
     latency_ms: f64,
     reports_lost: u16,
     wrong: BTreeMap<String, usize>,
+    /// Fixes of level full in the scenes.
+    hostile: u64,
     refused: u64,
 }
 
@@ -167,12 +171,20 @@ impl Life {
         must(self.uptime_back == 0, format!("uptime went back {} times", self.uptime_back));
         // Two health frames may wait in the queue while a scene keeps the solver from its work, not more.
         must(self.uptime_step <= 4, format!("uptime jumped by {} s", self.uptime_step));
-        must(self.half_turn_ppm <= 1e6 * HALF_TURN_WITHIN, format!("the half turn was off by {} ppm", self.half_turn_ppm));
+        must(
+            self.half_turn_ppm <= 1e6 * HALF_TURN_WITHIN,
+            format!("the half turn was off by {} ppm", self.half_turn_ppm),
+        );
         must(self.latency_ms <= 1e3 * LATENCY_S, format!("a fix took {} ms to the air", self.latency_ms));
         must(self.refused == 0, format!("the radio refused {} times", self.refused));
-        for (scene, wrong) in &self.wrong {
-            must(known_wrong(scene), format!("{scene}: {wrong} wrong fixes of level full"));
-        }
+        let clear = self.wrong.get(CLEAR).copied().unwrap_or(0);
+        must(clear == 0, format!("{clear} wrong fixes of level full in clear light"));
+        let hostile: usize =
+            self.wrong.iter().filter(|(scene, _)| *scene != CLEAR && !known_wrong(scene)).map(|(_, wrong)| wrong).sum();
+        must(
+            hostile as f64 <= WRONG_SHARE * self.hostile as f64,
+            format!("{hostile} of {} fixes of level full in the scenes are wrong", self.hostile),
+        );
         broken
     }
 
@@ -190,6 +202,7 @@ impl Life {
             "latency_worst_ms": self.latency_ms,
             "reports_lost": self.reports_lost,
             "wrong": self.wrong,
+            "good_fixes_in_scenes": self.hostile,
             "radio_refused": self.refused,
         })
     }
@@ -200,8 +213,8 @@ impl std::fmt::Display for Life {
         write!(
             f,
             "starts {}, frames {} of which missing {}, other or garbled {}; health frames {}, uptime back {} times, \
-             largest step {} s\nhalf turn off by at most {:.0} ppm in clear light, light to air at most {:.2} ms, reports \
-             lost {}, radio refused {}\nwrong fixes of level full by scene:",
+             largest step {} s\nhalf turn off by at most {:.0} ppm in clear light, light to air at most {:.2} ms there, reports \
+             lost {}, radio refused {}\n{} fixes of level full in the scenes; wrong ones by scene:",
             self.starts,
             self.frames,
             self.missing,
@@ -212,7 +225,8 @@ impl std::fmt::Display for Life {
             self.half_turn_ppm,
             self.latency_ms,
             self.reports_lost,
-            self.refused
+            self.refused,
+            self.hostile
         )?;
         if self.wrong.is_empty() {
             write!(f, " none")?;
@@ -232,6 +246,8 @@ pub(super) struct Watch {
     /// What is met now, since when, and what was met before.
     name: String,
     since_s: f64,
+    /// When the latest good fix came.
+    last_s: f64,
     before: String,
     sequence: Option<u16>,
     health: Option<Health>,
@@ -247,6 +263,7 @@ impl Watch {
             life: Life::default(),
             name: String::new(),
             since_s: 0.0,
+            last_s: 0.0,
             before: String::new(),
             sequence: None,
             health: None,
@@ -260,8 +277,8 @@ impl Watch {
         self.since_s = meeting.from_s;
     }
 
-    /// What the mote said until `second`.
-    pub(super) fn look(&mut self, lit: &mut Lit, second: f64) -> Result<()> {
+    /// What the mote said since the last look.
+    pub(super) fn look(&mut self, lit: &mut Lit) -> Result<()> {
         for heard in lit.hear()? {
             self.life.frames += 1;
             if let Some(header) = heard.header {
@@ -281,7 +298,6 @@ impl Watch {
             self.life.starts += u32::from(line.contains(BOOTED));
             self.round.locks_lost += u32::from(line.contains(LOCK_LOST));
         }
-        let _ = second;
         Ok(())
     }
 
@@ -289,17 +305,23 @@ impl Watch {
         self.life.reports_lost = fix.losses.reports;
         let latency_ms = 1e3 * (fix.sent_s - fix.row.seconds);
         self.round.latency_ms.push(latency_ms);
-        self.life.latency_ms = self.life.latency_ms.max(latency_ms);
+        // A storm of edges keeps all else from its work as long as it lasts.
+        if self.name == CLEAR && fix.row.seconds > self.since_s {
+            self.life.latency_ms = self.life.latency_ms.max(latency_ms);
+        }
         if !fix.is_good() {
             self.round.tracked += 1;
             return;
         }
         self.round.good += 1;
+        self.last_s = fix.sent_s;
         let settled = fix.row.seconds > self.since_s + AFTERMATH_S;
-        let errors =
-            if self.name == CLEAR && settled { &mut self.round.clear } else { &mut self.round.hostile };
+        let errors = if self.name == CLEAR && settled { &mut self.round.clear } else { &mut self.round.hostile };
         // Where the light itself lies, errors say nothing of the mote.
-        let blame = if self.name == CLEAR && !settled { &self.before } else { &self.name };
+        let aftermath_s = if known_wrong(&self.before) { LONG_AFTERMATH_S } else { AFTERMATH_S };
+        let over = fix.row.seconds > self.since_s + aftermath_s;
+        let blame = if self.name == CLEAR && !over { &self.before } else { &self.name };
+        self.life.hostile += u64::from(self.name != CLEAR);
         if !known_wrong(blame) {
             errors.push(100.0 * fix.error_m());
         }
@@ -324,6 +346,22 @@ impl Watch {
             self.life.half_turn_ppm = self.life.half_turn_ppm.max(ppm);
         }
         self.health = Some(health);
+    }
+
+    /// What was met, in a line: the latest fix and what the mote says of the cycle.
+    pub(super) fn each(&self, lit: &Lit) -> String {
+        let (hertz, lock) = self
+            .health
+            .as_ref()
+            .map_or((0.0, Lock::NoLight), |health| (f64::from(health.half_turn_q8) / 256.0 * 120.0, health.lock));
+        let true_hertz = lit.world.cycle(self.last_s + 1.0) - lit.world.cycle(self.last_s);
+        format!(
+            "{:>10.1} s  {:<22} good so far {:>6}, worst in clear light {:>6.2} cm, {lock:?}, clock {hertz:.0} Hz of {true_hertz}",
+            self.last_s,
+            self.name,
+            self.round.good,
+            self.round.clear.values.iter().copied().fold(0.0, f64::max)
+        )
     }
 
     /// Ends a round.
@@ -353,14 +391,27 @@ impl Watch {
 }
 
 fn counts(rejects: &Rejects) -> [u16; 12] {
-    let Rejects { edges, strays, widths, short, long, second, outside, geometry, mismatch, disbelieved, reports, locks } =
-        *rejects;
+    let Rejects {
+        edges,
+        strays,
+        widths,
+        short,
+        long,
+        second,
+        outside,
+        geometry,
+        mismatch,
+        disbelieved,
+        reports,
+        locks,
+    } = *rejects;
     [edges, strays, widths, short, long, second, outside, geometry, mismatch, disbelieved, reports, locks]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenes::list;
 
     #[test]
     fn every_scene_that_may_be_wrong_is_one_there_is() {
@@ -374,7 +425,10 @@ mod tests {
         assert!(well.broken().is_empty());
         assert_eq!(Life { starts: 2, ..well.clone() }.broken().len(), 1);
         assert_eq!(Life { missing: 1, ..well.clone() }.broken().len(), 1);
-        let wrong = |scene: &str| Life { wrong: [(scene.to_string(), 1)].into(), ..well.clone() }.broken().len();
-        assert_eq!((wrong(CLEAR), wrong("moved-10cm")), (1, 0));
+        let wrong = |scene: &str, hostile| {
+            Life { wrong: [(scene.to_string(), 1)].into(), hostile, ..well.clone() }.broken().len()
+        };
+        assert_eq!((wrong(CLEAR, 1_000_000), wrong("moved-10cm", 1)), (1, 0));
+        assert_eq!((wrong("reflections", 9_000), wrong("reflections", 11_000)), (1, 0));
     }
 }

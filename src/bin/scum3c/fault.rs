@@ -81,6 +81,8 @@ pub fn last() -> Option<Crash> {
 }
 
 /// Leaves the breadcrumb and starts again.
+#[cold]
+#[inline(never)]
 pub fn reset(kind: Kind, at: u32) -> ! {
     CRUMB.count.store(CRUMB.count.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
     CRUMB.kind.store(kind as u32, Ordering::Relaxed);

@@ -12,9 +12,9 @@ use lighthouse_mote::identity::Identity;
 use lighthouse_mote::sweep::HalfTurn;
 use lighthouse_mote::time::{Span, Ticks};
 
-use crate::capture;
 use crate::queue::{Queue, Reader, Writer};
 use crate::radio;
+use crate::{capture, fault};
 
 /// Sightings between the stages: 67 ms at 120 sweeps a second.
 const SIGHTINGS: usize = 8;
@@ -138,7 +138,13 @@ pub struct Solve {
     frames: Frames,
     /// Why the mote started, and where it was then.
     reset: (Reset, u32),
+    /// Tales of a known cycle in a row, without a sighting.
+    deaf: u32,
 }
+
+/// The classifier tells of a known cycle and sees something of it each second: more without a sighting, and one end of
+/// their queue is not where the other is.
+const MOST_DEAF: u32 = 3;
 
 impl Solve {
     /// Reads `sightings` and `tales`, writes `frames`; `reset` goes into every health frame.
@@ -148,7 +154,7 @@ impl Solve {
         frames: Frames,
         reset: (Reset, u32),
     ) -> Self {
-        Self { solver: Solver::default(), batch: Batch::default(), sightings, tales, frames, reset }
+        Self { solver: Solver::default(), batch: Batch::default(), sightings, tales, frames, reset, deaf: 0 }
     }
 
     /// Takes the oldest sighting, or what was told where there is none; one at a time as [`Classify::run`].
@@ -158,6 +164,7 @@ impl Solve {
             let passed_on = self.is_free_to_tell() && self.tell(config);
             return Done { passed_on, more: false };
         };
+        self.deaf = 0;
         if sighting.seen == Seen::Lost {
             defmt::warn!("light lost; edges {=u16}, pulses {=u16}", capture::lost(), sighting.pulses_lost);
         }
@@ -189,6 +196,12 @@ impl Solve {
     #[inline(never)]
     fn tell(&mut self, config: &Config) -> bool {
         let Some(told) = self.tales.oldest() else { return false };
+        if told.understood.is_locked() {
+            self.deaf += 1;
+            if self.deaf > MOST_DEAF {
+                fault::reset(fault::Kind::Watchdog, 1);
+            }
+        }
         let mut health = self.solver.health(config, &told.understood);
         health.uptime = told.uptime;
         (health.reset, health.reset_detail) = self.reset;

@@ -203,6 +203,11 @@ impl<B: Bus> Machine<B> {
         }
     }
 
+    /// From here on a fault of the program enters its own HardFault handler, as on the chip.
+    pub fn forgive_faults(&mut self) {
+        self.config.fault_is_fatal = false;
+    }
+
     /// Resets the core. Time goes on, memory and devices stay as they are.
     pub fn reset(&mut self) {
         self.core.reset(&self.memory);

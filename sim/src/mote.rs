@@ -12,7 +12,7 @@ use crate::machine::{Config, Machine, Stop};
 use crate::scum3c::{self, EdgeError, Scum3c, SentFrame};
 
 /// A mote from power-on.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Mote {
     /// The chip, for looking inside.
     pub machine: Machine<Scum3c>,
@@ -191,6 +191,13 @@ impl Mote {
     pub fn set_hclk_hz(&mut self, hclk_hz: NonZeroU32) {
         let now = self.machine.cycles();
         self.machine.bus.set_hclk_hz(hclk_hz, now);
+    }
+
+    /// Starts the mote anew, its devices as at power-on; its memory stays, the light goes on.
+    pub fn restart(&mut self) {
+        let now = self.machine.cycles();
+        self.machine.bus.power_cycle(now);
+        self.machine.reset();
     }
 
     /// The frames that left since the last call.

@@ -21,6 +21,7 @@
 
 mod adc;
 mod analog_cfg;
+mod failure;
 mod gpio;
 mod oscillators;
 mod rf_controller;
@@ -38,6 +39,7 @@ use std::num::NonZeroU32;
 use uart::Uart;
 
 pub use analog_cfg::{Clocks, Powered};
+pub use failure::Failure;
 pub use gpio::EdgeError;
 pub use oscillators::Oscillators;
 pub use rf_controller::{Refusal, SentFrame, Why};
@@ -90,8 +92,11 @@ impl Default for Config {
 const NOMINAL_HCLK_HZ: NonZeroU32 = NonZeroU32::new(10_000_000).unwrap();
 
 /// The devices of one mote.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Scum3c {
+    config: Config,
+    /// What does not work, and until when.
+    failure: Option<(Failure, u64)>,
     now: u64,
     next_event: u64,
     rf: RfController,
@@ -106,6 +111,8 @@ impl Scum3c {
     /// A mote at power-on, in the dark.
     pub fn new(config: Config) -> Self {
         Self {
+            config,
+            failure: None,
             now: 0,
             next_event: u64::MAX,
             rf: RfController::new(),
@@ -148,6 +155,47 @@ impl Scum3c {
         self.advance(cycle);
         self.rftimer.age(ticks, self.now);
         self.schedule();
+    }
+
+    /// Puts every device but the light back to what it is at power-on. Time goes on; what fails still fails.
+    pub fn power_cycle(&mut self, cycle: u64) {
+        self.advance(cycle);
+        let hclk_hz = self.analog.hclk_hz();
+        let fresh = Self::new(Config { hclk_hz, ..self.config });
+        *self = Self {
+            failure: self.failure,
+            now: self.now,
+            gpio: std::mem::take(&mut self.gpio),
+            // What was on air and in the log before is not undone.
+            uart: std::mem::take(&mut self.uart),
+            ..fresh
+        };
+        self.schedule();
+    }
+
+    /// Lets something fail from `cycle` until `until`.
+    pub fn fail(&mut self, failure: Failure, cycle: u64, until: u64) {
+        self.advance(cycle);
+        self.failure = Some((failure, until));
+        if failure == Failure::Timer {
+            self.rftimer.hold(true, self.now);
+        }
+        self.schedule();
+    }
+
+    fn fails(&self, what: Failure) -> bool {
+        self.failure.is_some_and(|(failure, _)| failure == what)
+    }
+
+    fn mend(&mut self) {
+        if let Some((failure, until)) = self.failure
+            && until <= self.now
+        {
+            self.failure = None;
+            if failure == Failure::Timer {
+                self.rftimer.hold(false, self.now);
+            }
+        }
     }
 
     /// Queues a change of the optical level to happen at `cycle`, which must be later than that of the edge before.
@@ -203,7 +251,9 @@ impl Scum3c {
     }
 
     fn schedule(&mut self) {
-        self.next_event = self.rftimer.next_event().min(self.rf.next_event()).min(self.gpio.next_event());
+        let rf = if self.fails(Failure::Radio) { u64::MAX } else { self.rf.next_event() };
+        let mended = self.failure.map_or(u64::MAX, |(_, until)| until);
+        self.next_event = self.rftimer.next_event().min(rf).min(self.gpio.next_event()).min(mended);
     }
 
     fn command_radio(&mut self, bits: u32) {
@@ -252,7 +302,12 @@ impl Scum3c {
             RF => self.rf.write(offset, value)?,
             DMA_BASE if offset == DMA_RX_ADDR => self.rx_address = value,
             DMA_BASE => return Err("no DMA register here"),
-            RFTIMER => self.rftimer.write(offset, value, self.now)?,
+            RFTIMER => {
+                self.rftimer.write(offset, value, self.now)?;
+                if self.fails(Failure::Timer) {
+                    self.rftimer.hold(true, self.now);
+                }
+            }
             ADC => return Err(adc::refusal(offset)),
             UART => self.uart.write(offset, value, self.now)?,
             ANALOG_CFG => self.write_analog(offset, value)?,
@@ -289,6 +344,7 @@ impl Bus for Scum3c {
             | u32::from(self.rftimer.line()) << IRQ_RFTIMER
             | u32::from(self.gpio.level() && reads_8) << IRQ_GPIO8_HIGH
             | u32::from(!(self.gpio.level() && reads_9)) << IRQ_GPIO9_LOW
+            | self.failure.map_or(0, |(failure, _)| failure.lines())
     }
 
     fn next_event(&self) -> u64 {
@@ -297,9 +353,11 @@ impl Bus for Scum3c {
 
     fn advance(&mut self, cycle: u64) {
         while self.next_event <= cycle && self.next_event != u64::MAX {
-            self.now = self.next_event;
+            // What could not happen while something failed happens late.
+            self.now = self.now.max(self.next_event);
+            self.mend();
             self.gpio.advance(self.now);
-            let pulses = self.rf.advance(self.now);
+            let pulses = if self.fails(Failure::Radio) { 0 } else { self.rf.advance(self.now) };
             self.rftimer.radio_events(pulses, self.now);
             let commands = self.rftimer.fire(self.now);
             if commands != 0 {
@@ -612,5 +670,53 @@ mod tests {
                 chip.lines();
             }
         }
+    }
+
+    #[test]
+    fn a_timer_that_fails_stands_still_whatever_it_is_told_and_then_goes_on() {
+        let mut chip = Scum3c::new(Config::default());
+        put(&mut chip, RFTIMER, 0x7, 0);
+        chip.fail(Failure::Timer, 1_000, 5_000);
+        put(&mut chip, RFTIMER, 0x3, 2_000);
+        assert_eq!(get(&mut chip, RFTIMER + 4, 4_999), 1_000);
+        assert_eq!(get(&mut chip, RFTIMER + 4, 6_000), 2_000);
+    }
+
+    #[test]
+    fn a_radio_that_fails_is_done_when_it_works_again() {
+        let mut chip = Scum3c::new(Config::default());
+        put(&mut chip, RF + 0x14, 0x4, 0);
+        switch_transmitter_on(&mut chip, 0);
+        ask_for_load(&mut chip, 9, 1_000);
+        answer(&mut chip);
+        put(&mut chip, RF, 2, 2_000);
+        chip.fail(Failure::Radio, 2_100, 1_000_000);
+        chip.advance(999_999);
+        assert_eq!(chip.lines(), DARK);
+        chip.advance(1_000_000);
+        assert_eq!(chip.lines(), DARK | 1 << IRQ_RF);
+        assert_eq!(chip.take_frames().len(), 1);
+    }
+
+    #[test]
+    fn lines_that_fail_are_active_for_as_long() {
+        let mut chip = Scum3c::new(Config::default());
+        chip.fail(Failure::Lines(1 << 3), 10, 20);
+        assert_eq!(chip.lines(), DARK | 1 << 3);
+        chip.advance(20);
+        assert_eq!(chip.lines(), DARK);
+    }
+
+    #[test]
+    fn power_that_comes_again_finds_new_devices_in_the_same_light() {
+        let mut chip = Scum3c::new(Config::default());
+        chip.push_edge(100, true).unwrap();
+        chip.push_edge(900, false).unwrap();
+        put(&mut chip, RFTIMER, 0x7, 0);
+        chip.power_cycle(500);
+        assert_eq!(get(&mut chip, RFTIMER + 4, 600), 0);
+        assert_eq!(chip.lines(), LIGHT);
+        chip.advance(900);
+        assert_eq!(chip.lines(), DARK);
     }
 }

@@ -196,6 +196,32 @@ impl World {
         }
     }
 
+    /// Lets the light be as in `scene` from the next slot on: receiver, stations, strangers, mirrors, strobes and line
+    /// are its; the mote's path and clock and the rotors' timing go on, and so does time. Its times are this world's.
+    ///
+    /// # Panics
+    /// When [`Scene::check`] refuses the scene; the message is its reason.
+    pub fn meet(&mut self, scene: &Scene) {
+        if let Err(unfit) = scene.check() {
+            panic!("{unfit}");
+        }
+        let Scene { length_s, path, clock, timing, .. } = self.scene;
+        self.scene = Scene { length_s, path, clock, timing, ..scene.clone() };
+        let stations = [&self.scene.station_a, &self.scene.station_b];
+        for (frame, station) in self.frames.iter_mut().zip(stations) {
+            frame.bits = ootx::frame(&station.info.block(&station.azimuth, &station.elevation));
+        }
+        self.moved = stations.map(Station::after_its_move);
+    }
+
+    /// Lets all light pass unmade that begins before `seconds`. Nothing changes in what comes after.
+    pub fn skip(&mut self, seconds: f64) {
+        while self.scene.timing.start_s(self.slot) < seconds {
+            self.slot += 1;
+        }
+        self.ahead.clear();
+    }
+
     /// The edges from here on, as an iterator.
     pub fn edges(&mut self) -> impl Iterator<Item = Edge> + '_ {
         core::iter::from_fn(|| self.next_edge())

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use crate::chain::{Chain, Config, Estimate};
 use crate::edge::Edge;
 use crate::frame::{self, Header, Message, Reset};
-use crate::identity::Identity;
+use crate::identity::{self, Block, Identity};
 use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
@@ -30,11 +30,19 @@ thread_local! {
     static FRAMES_LOST: Cell<u16> = const { Cell::new(0) };
 }
 
+/// As a binary has it.
+static IDENTITY: Block =
+    Block::new(Identity { mote: HEADER.mote, pan: HEADER.pan, channel: 0 }, identity::READS_ADDRESS);
+
 /// A board without registers.
 struct Bench;
 
 impl Board for Bench {
     type Pulses = Reader<Pulse, 16>;
+
+    fn identity() -> Identity {
+        IDENTITY.read()
+    }
 
     fn edges_lost() -> u16 {
         EDGES_LOST.get()
@@ -66,8 +74,7 @@ impl App {
             Box::leak(Box::new(value))
         }
         let (light, pulses) = leak(Queue::new()).split();
-        let identity = Identity { mote: HEADER.mote, pan: HEADER.pan, channel: 0 };
-        let (classify, solve, air) = leak(Queues::new()).wire(pulses, identity, reset);
+        let (classify, solve, air) = leak(Queues::new()).wire(pulses, reset);
         Self { config, light, classify, solve, air, deaf: false, heard: Vec::new() }
     }
 

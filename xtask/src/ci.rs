@@ -8,6 +8,7 @@ use anyhow::Result;
 
 use crate::bench::{self, bench};
 use crate::claims::{self, claims};
+use crate::faults::{self, faults};
 use crate::fuzz::{self, fuzz};
 use crate::memory::{self, memory};
 use crate::oracle;
@@ -16,6 +17,7 @@ use crate::reproduce;
 use crate::run as fly;
 use crate::scenes::{self, scenes};
 use crate::setup;
+use crate::soak::{self, soak};
 use crate::test::{Tally, run_all};
 
 /// A board as cargo has to be told about it.
@@ -56,6 +58,8 @@ pub(crate) fn ci() -> Result<()> {
     tally.check("what the texts claim", || claims(&claims::Arguments::AFTER_BENCH));
     tally.check("the same fixes on two boards", || fly::run(&fly::Arguments::both_boards()));
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
+    tally.check("soak, half a minute", || soak(&soak::Arguments::SHORT));
+    tally.check("faults, a few of each", || faults(&faults::Arguments::SHORT));
     tally.check("calibration beside OpenCV, 20 rooms", || oracle::oracle(20));
     tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));
     tally.close()

@@ -16,8 +16,10 @@ mod bench;
 mod ci;
 mod claims;
 mod deny;
+mod faults;
 mod firmware;
 mod fuzz;
+mod lit;
 mod memory;
 mod oracle;
 mod process;
@@ -28,6 +30,7 @@ mod scenes;
 mod setup;
 #[cfg(test)]
 mod silicon;
+mod soak;
 mod test;
 
 /// Motes that find their own position in the light of two Lighthouse stations
@@ -87,6 +90,17 @@ enum Verb {
     Listen(xtask::listen::Arguments),
     /// Show a recording of `listen --record` again
     Replay(xtask::listen::Replay),
+    /// Let one mote live for a day: hostile scenes and clear light in turn, its counter wrapping hundreds of times
+    ///
+    /// Runs the release firmware in the virtual mote. Prints a line for each half hour and the last hour beside the
+    /// first, and writes target/soak/summary.json. A crash, a lost frame, a drift, a wrong fix is an error.
+    Soak(soak::Arguments),
+    /// Let the chip misbehave: bits of data RAM flip, power dips, lines storm, timer and radio stand still
+    ///
+    /// Runs the release firmware in the virtual mote, thousands of times from one settled state. Prints one table and
+    /// writes target/faults/summary.json. A wrong position reported as good for more than a second, or silence though
+    /// there is light, is an error.
+    Faults(faults::Arguments),
     /// Put the firmware onto a chip, or onto a tray of chips: release build with the room and the id, size, programming
     ///
     /// A SCuM-3C through an nRF52840-DK or a Teensy on a serial port, an nRF52840 through probe-rs. docs/flashing.md has
@@ -152,6 +166,8 @@ fn main() -> ExitCode {
         Verb::Scenes(arguments) => scenes::scenes(&arguments).map(|()| 0),
         Verb::Listen(arguments) => firmware::listen(&arguments).map(|()| 0),
         Verb::Replay(arguments) => xtask::listen::replay(&arguments).map(|()| 0),
+        Verb::Faults(arguments) => faults::faults(&arguments).map(|()| 0),
+        Verb::Soak(arguments) => soak::soak(&arguments).map(|()| 0),
         Verb::Flash(arguments) => firmware::flash(&arguments).map(|()| 0),
         Verb::Swarm(arguments) => {
             let build = |mote: &str| firmware::scum3c(&process::root().join(firmware::DEFAULT_CALIB), mote);

@@ -10,7 +10,7 @@
 
 mod curves;
 mod figures;
-mod list;
+pub(crate) mod list;
 mod play;
 mod reason;
 
@@ -75,6 +75,11 @@ const LIMITS: [(&str, Promise); 2] = [
     ("moved-10cm", Promise::NoWrongGood),
     ("moved-turned-5deg", Promise::NoWrongGood),
 ];
+
+/// Whether fixes of level full that are wrong are known of a scene.
+pub(crate) fn known_wrong(scene: &str) -> bool {
+    UNTIL_MET.iter().chain(&LIMITS).any(|(name, promise)| *name == scene && *promise == Promise::NoWrongGood)
+}
 
 /// An image and the strings of its log.
 struct Image {

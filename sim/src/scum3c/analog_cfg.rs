@@ -100,7 +100,7 @@ struct Counts {
     hf: u64,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct AnalogCfg {
     clocks: Clocks,
     hclk_hz: NonZeroU32,

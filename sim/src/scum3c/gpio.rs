@@ -53,7 +53,7 @@ impl fmt::Display for EdgeError {
 
 impl std::error::Error for EdgeError {}
 
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Gpio {
     level: bool,
     output: u32,

@@ -235,7 +235,7 @@ impl fmt::Display for Why {
     }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 enum Load {
     Empty,
     Asked { dma: Dma, taken: bool, due: u64 },
@@ -243,13 +243,13 @@ enum Load {
     Ready(Vec<u8>),
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Sending {
     frame: SentFrame,
     sfd_at: Option<u64>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct RfController {
     address: u32,
     len: u32,

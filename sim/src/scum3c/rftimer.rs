@@ -98,7 +98,7 @@ struct Unit {
     control: u32,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct RfTimer {
     ratio: Ratio,
     enabled: bool,
@@ -155,6 +155,12 @@ impl RfTimer {
         for compare in &mut self.compares {
             compare.value = compare.value.wrapping_add(ticks);
         }
+    }
+
+    /// Stops the counter where it is, whatever it is told, until it is let go.
+    pub(super) fn hold(&mut self, held: bool, cycle: u64) {
+        self.rebase(cycle);
+        self.enabled = !held;
     }
 
     fn rebase(&mut self, cycle: u64) {

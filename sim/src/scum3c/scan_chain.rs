@@ -142,7 +142,7 @@ impl Chain {
     }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct ScanChain {
     /// A ring: `newest` is where the bit shifted in last lies, older bits follow it.
     shift: [bool; BITS],

@@ -10,7 +10,7 @@ const DATA: u32 = 0;
 /// number holds at any clock (19,200 baud at 5 MHz).
 const BYTE_CYCLES: u64 = 10 * 10_000_000 / 38_400;
 
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Uart {
     sent: Vec<u8>,
     idle_at: u64,

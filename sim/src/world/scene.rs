@@ -139,6 +139,29 @@ impl Scene {
         }
     }
 
+    /// The scene with all that happens in it `by_s` later. A drift of the receiver counts from power-on all the same.
+    #[must_use]
+    pub fn later(mut self, by_s: f64) -> Scene {
+        for station in [&mut self.station_a, &mut self.station_b] {
+            for occlusion in &mut station.occlusions {
+                occlusion.from_s += by_s;
+                occlusion.to_s += by_s;
+            }
+            if let Some(moved) = &mut station.moved {
+                moved.at_s += by_s;
+            }
+        }
+        for strobe in &mut self.strobes {
+            strobe.first_s += by_s;
+            strobe.to_s += by_s;
+        }
+        for fault in &mut self.line_faults {
+            fault.from_s += by_s;
+            fault.to_s += by_s;
+        }
+        self
+    }
+
     /// Whether the numbers describe a room.
     ///
     /// # Errors

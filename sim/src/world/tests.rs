@@ -501,3 +501,26 @@ proptest! {
         prop_assert_eq!(world.cycle(world.seconds(cycle)), cycle);
     }
 }
+
+#[test]
+fn a_world_that_meets_another_scene_goes_on_in_its_light_and_back() {
+    let light = Scene { path: STILL, length_s: 4.0, ..Scene::default() }.without_noise();
+    let occlusions = vec![Occlusion { from_s: 0.5, to_s: 1.0, hides: Hides::Everything }];
+    let mut dark = light.clone();
+    dark.station_a.occlusions = occlusions.clone();
+    dark.station_b.occlusions = occlusions;
+    let mut alone = World::new(&light, 1);
+    let undisturbed = pulses(&mut alone, 3.9);
+    let mut world = World::new(&light, 1);
+    let mut met = pulses(&mut world, 1.0);
+    world.meet(&dark.later(1.0));
+    met.extend(pulses(&mut world, 3.0));
+    world.meet(&light);
+    met.extend(pulses(&mut world, 3.9));
+    assert!(!met.iter().any(|(at_s, _)| (1.5..2.0).contains(at_s)));
+    // A pulse of each meeting is spent on seeing that its time is over.
+    let lit = |at_s: f64| !(1.5..2.0).contains(&at_s);
+    let missing = undisturbed.iter().filter(|pulse| lit(pulse.0) && !met.contains(pulse)).count();
+    assert!(missing <= 2, "{missing}");
+    assert!(met.iter().all(|pulse| undisturbed.contains(pulse)));
+}

@@ -59,7 +59,7 @@ mod app {
         let (identity, crash) = (IDENTITY.read(), fault::CRUMB.take());
         defmt::info!("lighthouse mote {=u16:#06x}, last crash {}", identity.mote, crash);
         let (edges, pulses) = Edges::split(cx.local.pulses);
-        let (classify, solve, frames) = cx.local.queues.wire(pulses, identity, Crash::told(crash));
+        let (classify, solve, frames) = cx.local.queues.wire(pulses, Crash::told(crash));
         let serial = Serial::start(Bytes::new(frames));
         let [light, seconds] = player::start();
         (Shared { classify }, Local { light, edges, seconds, solve, serial })

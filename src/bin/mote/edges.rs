@@ -5,6 +5,7 @@
 
 use core::sync::atomic::{AtomicU16, Ordering};
 
+use lighthouse_mote::identity::Identity;
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::time::Ticks;
 
@@ -49,6 +50,10 @@ impl Edges {
 /// A board with this capture, whose frames are never given up.
 impl Board for Edges {
     type Pulses = Reader<Pulse, PULSES>;
+
+    fn identity() -> Identity {
+        super::super::IDENTITY.read()
+    }
 
     fn edges_lost() -> u16 {
         LOST.load(Ordering::Relaxed)

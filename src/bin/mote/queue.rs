@@ -3,6 +3,9 @@
 //! The transmitter sends a frame right out of it. A general queue copies once more, puts barriers around its indices
 //! and divides by its length, for which the core has no instruction.
 //!
+//! The counts are compared modulo twice the length, so that a count that is wrong, for a bit of it has flipped, is a few
+//! entries lost or read again and not four thousand million.
+//!
 //! What can go wrong: the queue is full; the writer is told, and drops what it has.
 
 use core::cell::UnsafeCell;
@@ -56,6 +59,12 @@ impl<T: Copy, const N: usize> Queue<T, N> {
         (Writer(self), Reader(self))
     }
 
+    /// Entries written and not yet read; more than `N` only where a count is wrong.
+    #[inline(always)]
+    fn waiting(&self) -> u32 {
+        self.written.load(Ordering::Relaxed).wrapping_sub(self.read.load(Ordering::Relaxed)) % (2 * N as u32)
+    }
+
     #[inline(always)]
     fn entry(&self, count: u32) -> *mut MaybeUninit<T> {
         // SAFETY: the remainder is below `N`.
@@ -98,7 +107,7 @@ impl<T: Copy, const N: usize> Writer<T, N> {
     #[inline(always)]
     fn append(&mut self, write: impl FnOnce(&mut MaybeUninit<T>)) -> bool {
         let written = self.0.written.load(Ordering::Relaxed);
-        let waiting = written.wrapping_sub(self.0.read.load(Ordering::Relaxed));
+        let waiting = self.0.waiting();
         if waiting >= N as u32 {
             return false;
         }
@@ -122,14 +131,14 @@ impl<T: Copy, const N: usize> Reader<T, N> {
 
     /// Whether more than one waits.
     pub fn has_several(&self) -> bool {
-        self.0.written.load(Ordering::Relaxed).wrapping_sub(self.0.read.load(Ordering::Relaxed)) > 1
+        self.0.waiting() > 1
     }
 
     /// The oldest entry.
     #[inline(always)]
     pub fn oldest(&self) -> Option<&T> {
         let read = self.0.read.load(Ordering::Relaxed);
-        if read == self.0.written.load(Ordering::Relaxed) {
+        if self.0.waiting() == 0 {
             return None;
         }
         compiler_fence(Ordering::Acquire);
@@ -141,7 +150,7 @@ impl<T: Copy, const N: usize> Reader<T, N> {
     #[inline(always)]
     pub fn pop(&mut self) {
         let read = self.0.read.load(Ordering::Relaxed);
-        if read != self.0.written.load(Ordering::Relaxed) {
+        if self.0.waiting() != 0 {
             compiler_fence(Ordering::Release);
             self.0.read.store(read.wrapping_add(1), Ordering::Relaxed);
         }

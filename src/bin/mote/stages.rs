@@ -23,6 +23,9 @@ pub trait Board {
     /// The end of the capture where its pulses come out.
     type Pulses: Pulses;
 
+    /// Who this mote is, read from where no bit of data memory can flip it.
+    fn identity() -> Identity;
+
     /// Edges that became no pulse so far, wrapping.
     fn edges_lost() -> u16;
 
@@ -108,14 +111,12 @@ impl Queues {
     pub fn wire<B: Board>(
         &'static mut self,
         pulses: B::Pulses,
-        identity: Identity,
         reset: (Reset, u32),
     ) -> (Classify<B>, Solve<B>, Reader<Aligned, FRAMES>) {
         let (to_solve, sightings) = self.sightings.split();
         let (to_tell, tales) = self.tales.split();
         let (to_radio, frames) = self.air.split();
-        let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
-        let solve = Solve::new(sightings, tales, Frames::new(to_radio, header), reset);
+        let solve = Solve::new(sightings, tales, Frames::new(to_radio), reset);
         (Classify::new(pulses, to_solve, to_tell), solve, frames)
     }
 }
@@ -238,7 +239,7 @@ impl<B: Board> Solve<B> {
         frames: Frames<B>,
         reset: (Reset, u32),
     ) -> Self {
-        let solver = Solver::of_mote(frames.header.mote);
+        let solver = Solver::of_mote(B::identity().mote);
         Self { solver, batch: Batch::default(), sightings, tales, frames, reset }
     }
 
@@ -302,7 +303,8 @@ impl<B: Board> Solve<B> {
 /// The way onto the air: frames made where the radio sends them from.
 pub struct Frames<B: Board> {
     queue: Writer<Aligned, FRAMES>,
-    header: Header,
+    /// Of the next frame.
+    sequence: u16,
     lost: u16,
     #[cfg(feature = "security")]
     seal: Option<Seal>,
@@ -310,11 +312,11 @@ pub struct Frames<B: Board> {
 }
 
 impl<B: Board> Frames<B> {
-    /// Writes `queue` as `header` says, its sequence the first.
-    pub const fn new(queue: Writer<Aligned, FRAMES>, header: Header) -> Self {
+    /// Writes `queue`.
+    pub const fn new(queue: Writer<Aligned, FRAMES>) -> Self {
         Self {
             queue,
-            header,
+            sequence: 0,
             lost: 0,
             #[cfg(feature = "security")]
             seal: None,
@@ -330,14 +332,15 @@ impl<B: Board> Frames<B> {
     /// Has a frame made; whether there was room for it.
     #[inline(always)]
     fn put(&mut self, emit: impl FnOnce(&mut Aligned, Header)) -> bool {
+        let header = header::<B>(self.sequence);
         let sent = self.queue.fill(|frame| {
-            emit(frame, self.header);
+            emit(frame, header);
             #[cfg(feature = "security")]
             if let Some(seal) = &mut self.seal {
                 seal.seal(frame);
             }
         });
-        let count = if sent { &mut self.header.sequence } else { &mut self.lost };
+        let count = if sent { &mut self.sequence } else { &mut self.lost };
         *count = count.wrapping_add(1);
         sent
     }
@@ -351,4 +354,11 @@ impl<B: Board> Frames<B> {
         losses.reports = self.lost();
         self.put(|frame, header| frame::emit_into(frame, header, &report))
     }
+}
+
+/// Who this mote is, read anew for each frame: a copy whose bits flip would give this mote's place as another's.
+#[inline(never)]
+fn header<B: Board>(sequence: u16) -> Header {
+    let Identity { mote, pan, .. } = B::identity();
+    Header { pan, mote, sequence }
 }

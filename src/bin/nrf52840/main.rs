@@ -38,13 +38,17 @@ mod watchdog;
 
 // The log's way out.
 use defmt_rtt as _;
-use lighthouse_mote::identity::{self, Block};
+use lighthouse_mote::identity::{self, Block, Identity};
 
 /// This board, as the stages know it.
 struct Nrf52840;
 
 impl mote::stages::Board for Nrf52840 {
     type Pulses = capture::Reader;
+
+    fn identity() -> Identity {
+        IDENTITY.read()
+    }
 
     fn edges_lost() -> u16 {
         capture::lost()
@@ -121,7 +125,7 @@ mod app {
         defmt::info!("lighthouse mote {=u16:#06x}, started by {}", identity.mote, boot);
 
         let (capture, pulses) = capture::split(cx.local.pulses);
-        let (classify, solve, frames) = cx.local.queues.wire(pulses, identity, boot.reset());
+        let (classify, solve, frames) = cx.local.queues.wire(pulses, boot.reset());
         #[cfg(feature = "security")]
         let solve = solve.under(KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
         (

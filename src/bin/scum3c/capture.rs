@@ -56,6 +56,13 @@ static QUEUE: Queue = Queue {
     pulses: [const { [const { AtomicU32::new(0) }; 2] }; LEN],
 };
 
+/// Pulses written and not yet read; modulo twice the length, so that a count that is wrong, for a bit of it has flipped,
+/// is a few pulses lost or read again. More than [`LEN`] only then.
+#[inline(always)]
+fn waiting(written: u32, read: u32) -> u32 {
+    written.wrapping_sub(read) % (2 * LEN as u32)
+}
+
 /// Counts the two edges of a pulse.
 #[cold]
 fn lose() {
@@ -97,7 +104,7 @@ impl Capture {
     pub fn fall(&mut self, at: Ticks) {
         hand_over(FALL, RISE);
         let written = QUEUE.written.load(Ordering::Relaxed);
-        if written.wrapping_sub(QUEUE.read.load(Ordering::Relaxed)) >= LEN as u32 {
+        if waiting(written, QUEUE.read.load(Ordering::Relaxed)) >= LEN as u32 {
             return lose();
         }
         let [rise, fall] = &QUEUE.pulses[written as usize % LEN];
@@ -111,7 +118,7 @@ impl Capture {
 impl Pulses for Reader {
     #[inline(always)]
     fn is_empty(&self) -> bool {
-        QUEUE.read.load(Ordering::Relaxed) == QUEUE.written.load(Ordering::Relaxed)
+        waiting(QUEUE.written.load(Ordering::Relaxed), QUEUE.read.load(Ordering::Relaxed)) == 0
     }
 
     fn most(&self) -> u8 {
@@ -121,7 +128,7 @@ impl Pulses for Reader {
     #[inline(always)]
     fn next(&mut self) -> Option<Pulse> {
         let read = QUEUE.read.load(Ordering::Relaxed);
-        let waiting = QUEUE.written.load(Ordering::Relaxed).wrapping_sub(read);
+        let waiting = waiting(QUEUE.written.load(Ordering::Relaxed), read);
         if waiting == 0 {
             return None;
         }

@@ -1,7 +1,7 @@
 //! How this chip goes down: the breadcrumb is left, and the core is reset.
 //!
 //! The chip has no watchdog, so the core's own timer is one: it interrupts at the edges' priority, which nothing else has,
-//! and wants a frame to have been made since it last did.
+//! and wants a frame to have left since it last did.
 //!
 //! What can go wrong: the chip is RAM only, so a reset that also drops the code RAM leaves the mote silent until it is
 //! booted again; whether a core reset does is not documented. An edge handler that hangs, or a clock that stops, hangs
@@ -34,8 +34,8 @@ pub fn reset(kind: Kind, at: u32) -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Turns of the core's timer without a frame: 5 s at 10 MHz, where a health frame is made every second, or, where
-/// nothing is understood of the light, after two.
+/// Turns of the core's timer without a frame: 5 s at 10 MHz, where a health frame leaves every second, or, where nothing
+/// is understood of the light, after two.
 const PATIENCE: u32 = 3;
 
 /// Turns since the last frame.
@@ -47,7 +47,7 @@ pub fn watch() {
     syst::CSR.write(syst::RUN);
 }
 
-/// A frame was made.
+/// A frame has left.
 #[inline(always)]
 pub fn alive() {
     SILENT.store(0, Ordering::Relaxed);
@@ -78,7 +78,7 @@ unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     reset(Kind::HardFault, frame.pc())
 }
 
-// SAFETY: as for the fault.
+// SAFETY: as for the fault. A supervisor call that nobody wrote would otherwise loop above every other priority.
 #[exception]
 unsafe fn DefaultHandler(number: i16) {
     reset(Kind::Stray, number as u32)

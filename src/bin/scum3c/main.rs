@@ -39,6 +39,10 @@ struct Scum3c;
 impl mote::stages::Board for Scum3c {
     type Pulses = capture::Reader;
 
+    fn identity() -> Identity {
+        IDENTITY.read()
+    }
+
     fn edges_lost() -> u16 {
         capture::lost()
     }
@@ -72,7 +76,7 @@ static KEPT: mote::seal::Kept = mote::seal::Kept::new();
 
 #[rtic::app(device = crate::pac, peripherals = false)]
 mod app {
-    use lighthouse_mote::frame::{Header, Reset};
+    use lighthouse_mote::frame::Reset;
 
     use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
@@ -124,8 +128,7 @@ mod app {
             (_, Some(crash)) => (crash.reset(), crash.at),
             (_, None) => (Reset::PowerOn, 0),
         };
-        let header = Header { pan: identity.pan, mote: identity.mote, sequence: 0 };
-        let solve = Solve::new(sightings, tales, Frames::new(to_radio, header), reset);
+        let solve = Solve::new(sightings, tales, Frames::new(to_radio), reset);
         #[cfg(feature = "security")]
         let solve = solve.under(crate::calib::KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
         (
@@ -178,7 +181,6 @@ mod app {
     fn solve(cx: solve::Context) {
         let done = cx.local.solve.run(&CONFIG);
         if done.passed_on {
-            fault::alive();
             rtic::pend(Interrupt::RF);
         }
         if done.more {

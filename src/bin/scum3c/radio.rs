@@ -16,6 +16,7 @@ use core::sync::atomic::{AtomicU16, Ordering, fence};
 use lighthouse_mote::frame::{Aligned, HEALTH_LEN};
 use lighthouse_mote::time::Span;
 
+use crate::fault;
 use crate::mote::queue::Reader;
 use crate::mote::stages::FRAMES;
 use crate::pac::{analog, rf};
@@ -78,6 +79,7 @@ impl Radio {
         let done = rf::INT.read();
         rf::INT_CLEAR.write(done);
         if done & rf::TX_SEND_DONE != 0 && self.state == State::Sending {
+            fault::alive();
             self.rest();
         }
         if self.state == State::Off

@@ -3,8 +3,8 @@
 //! It has no capture input for a pin (`memory_map.h:150-157`), so edges are stamped by reading [`now`] first thing in
 //! their interrupt handlers.
 //!
-//! What can go wrong: an alarm set for a tick already past waits for the counter to come round, 7 min. [`arm`] is for
-//! spans far longer than the few cycles it takes.
+//! What can go wrong: an alarm set for a tick already past waits for the counter to come round, 7 min. A storm of edges
+//! can hold up [`arm`] for longer than any span, so it looks again.
 
 use lighthouse_mote::time::{Span, Ticks};
 
@@ -54,18 +54,25 @@ pub fn now() -> Ticks {
     Ticks(rftimer::COUNTER.read())
 }
 
-/// Lets `alarm` go off `span` from now.
+/// Lets `alarm` go off `span` from now; a span below half the counter's.
+#[inline(never)]
 pub fn arm(alarm: Alarm, span: Span) {
-    let at = now().after(span).0;
     let on = rftimer::COMPARE_ENABLE | rftimer::COMPARE_INTERRUPT;
-    match alarm {
-        Alarm::Second => {
-            rftimer::COMPARE0.write(at);
-            rftimer::COMPARE0_CONTROL.write(on);
+    loop {
+        let at = now().after(span);
+        match alarm {
+            Alarm::Second => {
+                rftimer::COMPARE0.write(at.0);
+                rftimer::COMPARE0_CONTROL.write(on);
+            }
+            Alarm::Radio => {
+                rftimer::COMPARE1.write(at.0);
+                rftimer::COMPARE1_CONTROL.write(on);
+            }
         }
-        Alarm::Radio => {
-            rftimer::COMPARE1.write(at);
-            rftimer::COMPARE1_CONTROL.write(on);
+        // Had the edges kept the core meanwhile, it would be past.
+        if at.since(now()).0 < 1 << 31 {
+            return;
         }
     }
 }

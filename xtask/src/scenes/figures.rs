@@ -9,8 +9,9 @@ use xtask::light::quantile;
 use xtask::score::Score;
 
 use super::list::Take;
-use super::play::{Fix, Played};
+use super::play::Played;
 use super::reason::{Reason, said};
+use crate::lit::Fix;
 use crate::run::HALF_TURN_S;
 
 /// Nobody calls a fix wrong that is nearer than this, metres: the worst axis of the 2020 paper's own run had an RMS
@@ -94,15 +95,15 @@ pub(super) fn bound_m(sd_m: [f64; 3]) -> f64 {
 }
 
 impl Fix {
-    pub(super) fn error_m(&self) -> f64 {
+    pub(crate) fn error_m(&self) -> f64 {
         self.row.error_m().unwrap_or(f64::INFINITY)
     }
 
-    pub(super) fn is_good(&self) -> bool {
+    pub(crate) fn is_good(&self) -> bool {
         self.level == Level::Full
     }
 
-    pub(super) fn is_wrong(&self) -> bool {
+    pub(crate) fn is_wrong(&self) -> bool {
         self.error_m() > bound_m(self.sd_m)
     }
 }
@@ -183,6 +184,7 @@ fn waited_ms(played: &Played, from_s: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lighthouse_mote::frame::Losses;
     use xtask::score::FixRow;
 
     fn fix(sent_s: f64, error_m: f64, sd_m: f64, level: Level) -> Fix {
@@ -196,7 +198,7 @@ mod tests {
             sequence: 0,
             truth: Some([0.0; 3]),
         };
-        Fix { row, sent_s, level, sd_m: [sd_m, 0.0, 0.0] }
+        Fix { row, sent_s, level, sd_m: [sd_m, 0.0, 0.0], losses: Losses::default() }
     }
 
     #[test]

@@ -43,24 +43,24 @@ const WALKS: u64 = 5;
 const LATE_FIRST_SYNC_S: f64 = 0.05;
 
 /// A scene and its name.
-pub(super) struct Named {
-    pub(super) name: String,
+pub(crate) struct Named {
+    pub(crate) name: String,
     /// For a person to read.
-    pub(super) what: String,
-    pub(super) takes: Vec<Take>,
+    pub(crate) what: String,
+    pub(crate) takes: Vec<Take>,
 }
 
 /// One run of a mote from power-on.
 #[derive(Clone)]
-pub(super) struct Take {
-    pub(super) scene: Scene,
-    pub(super) seed: u64,
+pub(crate) struct Take {
+    pub(crate) scene: Scene,
+    pub(crate) seed: u64,
     /// When light first reaches the mote, true seconds.
-    pub(super) first_light_s: f64,
+    pub(crate) first_light_s: f64,
     /// When light has returned or a disturbance has ended: a good fix is due again. True seconds.
-    pub(super) due_again_s: Vec<f64>,
+    pub(crate) due_again_s: Vec<f64>,
     /// When the mote's 32-bit counter wraps, true seconds; without it, as it comes.
-    pub(super) wrap_s: Option<f64>,
+    pub(crate) wrap_s: Option<f64>,
     /// Where no good fix can come for seconds: the mote's health names one of these reasons.
     pub(super) reasons: &'static [Reason],
     /// The room's file names the stations' serial numbers, as the scene has them before it changes anything.
@@ -84,7 +84,7 @@ fn walks(name: &str, what: &str, length_s: f64, change: impl Fn(&mut Take)) -> N
 }
 
 /// All of them, in the order of the table.
-pub(super) fn all() -> Vec<Named> {
+pub(crate) fn all() -> Vec<Named> {
     let mut all = vec![walks("light", "the default room, undisturbed", 30.0, |_| {})];
     occlusions(&mut all);
     receivers(&mut all);
@@ -152,7 +152,7 @@ fn hide(
 /// Walls, floor and ceiling near enough that most images stay in the field of the stations. Each is bright for a share
 /// of the sweeps; the stations stand a few degrees askew, so that a wall moves the elevation a little as well. Together a
 /// fifth of the sweeps get company (`a_fifth_of_the_sweeps_have_company`).
-pub(super) fn mirrors() -> Vec<Mirror> {
+pub(crate) fn mirrors() -> Vec<Mirror> {
     let mirror = |point_m, normal| Mirror { point_m, normal, probability: 0.075, gain: [0.5, 2.0], alone: 0.25 };
     vec![
         mirror([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]),

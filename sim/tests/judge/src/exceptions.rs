@@ -4,6 +4,7 @@ use core::arch::{asm, naked_asm};
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use crate::console::say;
+use crate::sequences;
 
 const ISER: usize = 0xE000_E100;
 const ICER: usize = 0xE000_E180;
@@ -26,7 +27,8 @@ static ORDER: [AtomicU32; 16] = [const { AtomicU32::new(0) }; 16];
 static NEXT: AtomicU32 = AtomicU32::new(0);
 static PEND_INSIDE: [AtomicU32; 48] = [const { AtomicU32::new(0) }; 48];
 
-fn write(address: usize, value: u32) {
+/// Writes a register of the system control space.
+pub fn write(address: usize, value: u32) {
     // SAFETY: a register of the system control space.
     unsafe { (address as *mut u32).write_volatile(value) }
 }
@@ -80,19 +82,25 @@ fn handle() {
     }
 }
 
-/// Handles external interrupts.
+/// Handles external interrupts, PendSV and SysTick.
+#[unsafe(naked)]
 pub unsafe extern "C" fn interrupt() {
-    handle();
+    naked_asm!("mov r0, lr", "mrs r1, msp", "push {{r4, lr}}", "bl {inner}", "pop {{r4, pc}}", inner = sym interrupted)
 }
 
-/// Handles PendSV.
-pub unsafe extern "C" fn pendsv() {
-    handle();
+extern "C" fn interrupted(return_value: u32, main_stack: *mut u32) {
+    if !sequences::witness(return_value, frame_of(return_value, main_stack)) {
+        handle();
+    }
 }
 
-/// Handles SysTick.
-pub unsafe extern "C" fn systick() {
-    handle();
+/// Where the exception entry put what it saved.
+pub fn frame_of(return_value: u32, main_stack: *mut u32) -> *mut u32 {
+    if return_value & 4 == 0 {
+        main_stack
+    } else {
+        special!("psp") as *mut u32
+    }
 }
 
 /// Handles supervisor calls: doubles the caller's r0 and notes its frame.
@@ -102,11 +110,10 @@ pub unsafe extern "C" fn supervisor_call() {
 }
 
 extern "C" fn inner(return_value: u32, main_stack: *mut u32) {
-    let frame = if return_value & 4 == 0 {
-        main_stack
-    } else {
-        special!("psp") as *mut u32
-    };
+    let frame = frame_of(return_value, main_stack);
+    if sequences::witness(return_value, frame) {
+        return;
+    }
     // SAFETY: the frame is where the exception entry put it.
     unsafe {
         note(return_value);

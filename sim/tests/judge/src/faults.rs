@@ -7,6 +7,8 @@ use core::arch::{asm, naked_asm};
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use crate::console::say;
+use crate::exceptions::frame_of;
+use crate::sequences;
 
 static RESUME: AtomicU32 = AtomicU32::new(0);
 static FAULTED_AT: AtomicU32 = AtomicU32::new(0);
@@ -16,10 +18,20 @@ static FAULTS: AtomicU32 = AtomicU32::new(0);
 /// Goes on where the faulting code asked for it.
 #[unsafe(naked)]
 pub unsafe extern "C" fn hard_fault() {
-    naked_asm!("mrs r0, msp", "push {{r4, lr}}", "bl {inner}", "pop {{r4, pc}}", inner = sym inner)
+    naked_asm!("mov r0, lr", "mrs r1, msp", "push {{r4, lr}}", "bl {inner}", "pop {{r4, pc}}", inner = sym inner)
 }
 
-extern "C" fn inner(frame: *mut u32) {
+extern "C" fn inner(return_value: u32, main_stack: *mut u32) {
+    let frame = frame_of(return_value, main_stack);
+    if sequences::witness(return_value, frame) {
+        // SAFETY: the frame is where the exception entry put it, and the program counter in it that of the instruction.
+        unsafe {
+            let pc = frame.add(6).read();
+            let wide = (pc as *const u16).read_volatile() >= 0xE800;
+            frame.add(6).write(pc + if wide { 4 } else { 2 });
+        }
+        return;
+    }
     // SAFETY: the frame is where the exception entry put it.
     unsafe {
         FAULTED_AT.store(frame.add(6).read(), Relaxed);

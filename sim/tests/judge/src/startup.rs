@@ -34,10 +34,10 @@ static VECTORS: [Vector; 48] = {
         handler: exceptions::supervisor_call,
     };
     table[14] = Vector {
-        handler: exceptions::pendsv,
+        handler: exceptions::interrupt,
     };
     table[15] = Vector {
-        handler: exceptions::systick,
+        handler: exceptions::interrupt,
     };
     let mut n = 16;
     while n < 48 {

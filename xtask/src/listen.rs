@@ -35,6 +35,7 @@ use self::receiver::Kind;
 use self::record::Recorder;
 use self::source::{Desk, Heard};
 use crate::calib::schema;
+use crate::trust;
 
 /// What listening may be told.
 #[derive(clap::Args, Debug)]
@@ -162,6 +163,8 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
     let calibration = schema::open(&calib)?;
     let room = RoomNews::of(&arguments.calib.display().to_string(), &calibration);
     let (mut desk, from) = desk(Some(room));
+    let key = trust::key_of_environment()?.or(calibration.mote.key.map(|key| key.0));
+    model::lock(&desk.shared).under(key);
     let mut sinks = arguments.views.sinks(&desk.shared)?;
     if let Some(dir) = &arguments.record {
         sinks.push(Box::new(Recorder::create(dir, Some(&calib), desk.shared.clone())?));
@@ -209,6 +212,7 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
 pub fn replay(arguments: &Replay) -> Result<()> {
     let room = record::room(&arguments.dir).map(|room| RoomNews::open(&room)).transpose()?;
     let (desk, from) = desk(room);
+    model::lock(&desk.shared).under(trust::key_of_environment()?);
     let sinks = arguments.views.sinks(&desk.shared)?;
     record::replay(desk.clone(), &arguments.dir, arguments.speed)?;
     Session { desk, from, sinks, ends: true, until: None }.run(&arguments.views)

@@ -1,7 +1,7 @@
 //! Who may be believed: frames under the room's key, each once.
 //!
-//! With a key, a frame counts where its code fits and its counter is larger than that of every frame of that mote before;
-//! all others are turned away and counted by cause, and never become a position. Without a key, plain frames count, and
+//! With a key, a frame counts where its code fits and its counter is new: larger than that of every frame of that mote
+//! before, or one of the 64 before it that has not come yet. All others are turned away and counted by cause, and never become a position. Without a key, plain frames count, and
 //! secured ones are counted as what nobody here can check.
 //!
 //! What can go wrong: the counters are forgotten, and old frames count once more. [`Guard::save`] and [`Guard::load`] keep
@@ -27,7 +27,7 @@ pub enum Refusal {
     NoKey,
     /// Its code does not fit: another key, or changed on the way by somebody who made the check sequence fit.
     Forged,
-    /// The very frame that came last: another gateway has heard it too.
+    /// One of the latest 64 frames of that mote once more: another gateway has heard it too.
     Duplicate,
     /// An old frame sent once more, or a mote whose counter began again, or two motes with one id.
     Replayed {
@@ -83,12 +83,42 @@ impl Refused {
     }
 }
 
+/// The largest counter that was believed, and which of the 64 up to it were: frames that come late over another gateway
+/// count too, each once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Window {
+    latest: u32,
+    /// Bit n: the counter n before the latest.
+    seen: u64,
+}
+
+impl Window {
+    /// Takes a counter that was proved.
+    fn take(&mut self, counter: u32) -> Result<(), Refusal> {
+        if counter > self.latest {
+            let by = counter - self.latest;
+            self.seen = self.seen.checked_shl(by).unwrap_or(0) | 1;
+            self.latest = counter;
+            return Ok(());
+        }
+        let bit = 1u64.checked_shl(self.latest - counter);
+        match bit {
+            None => Err(Refusal::Replayed { counter, latest: self.latest }),
+            Some(bit) if self.seen & bit != 0 => Err(Refusal::Duplicate),
+            Some(bit) => {
+                self.seen |= bit;
+                Ok(())
+            }
+        }
+    }
+}
+
 /// Stands between the air and everything that shows or keeps a position.
 #[derive(Debug, Default)]
 pub struct Guard {
     key: Option<Key>,
-    /// By PAN and mote: the largest counter that was believed.
-    latest: BTreeMap<(u16, u16), u32>,
+    /// By PAN and mote: what was believed.
+    heard: BTreeMap<(u16, u16), Window>,
     /// What was refused so far.
     pub refused: Refused,
 }
@@ -127,13 +157,13 @@ impl Guard {
             }
             Open::Reject(reject) => Refusal::NotOurs(reject),
         })?;
-        if let Some(&latest) = self.latest.get(&(pan, mote))
-            && counter <= latest
-        {
-            return Err(if counter == latest { Refusal::Duplicate } else { Refusal::Replayed { counter, latest } });
-        }
         let read = parse(plain.bytes()).map_err(Refusal::NotOurs)?;
-        self.latest.insert((pan, mote), counter);
+        match self.heard.get_mut(&(pan, mote)) {
+            Some(window) => window.take(counter)?,
+            None => {
+                self.heard.insert((pan, mote), Window { latest: counter, seen: 1 });
+            }
+        }
         Ok(read)
     }
 
@@ -154,8 +184,11 @@ impl Guard {
             };
             let (pan, mote, counter) =
                 numbers().ok_or_else(|| anyhow!("{}:{}: not a counter: {line:?}", path.display(), index + 1))?;
-            let latest = self.latest.entry((pan, mote)).or_insert(counter);
-            *latest = counter.max(*latest);
+            // Which of those before it were heard is forgotten: none of them counts any more.
+            let window = self.heard.entry((pan, mote)).or_insert(Window { latest: counter, seen: u64::MAX });
+            if counter > window.latest {
+                *window = Window { latest: counter, seen: u64::MAX };
+            }
         }
         Ok(())
     }
@@ -167,8 +200,8 @@ impl Guard {
     pub fn save(&self, path: &Path) -> Result<()> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut file = tempfile::NamedTempFile::new_in(folder).with_context(|| folder.display().to_string())?;
-        for ((pan, mote), counter) in &self.latest {
-            writeln!(file, "{pan:04x} {mote:04x} {counter}")?;
+        for ((pan, mote), Window { latest, .. }) in &self.heard {
+            writeln!(file, "{pan:04x} {mote:04x} {latest}")?;
         }
         file.persist(path).with_context(|| path.display().to_string())?;
         Ok(())
@@ -230,17 +263,21 @@ mod tests {
         assert_eq!(guard.open(&sealed(&KEY, 7, 10)).unwrap().0.mote, 7);
         assert_eq!(guard.open(&sealed(b"another room's..", 7, 11)), Err(Refusal::Forged));
         assert_eq!(guard.open(&sealed(&KEY, 7, 10)), Err(Refusal::Duplicate));
-        assert_eq!(guard.open(&sealed(&KEY, 7, 9)), Err(Refusal::Replayed { counter: 9, latest: 10 }));
-        let next = sealed(&KEY, 7, 11);
+        // One that came late over another gateway counts, once; one that is older than 64 frames does not.
+        assert!(guard.open(&sealed(&KEY, 7, 9)).is_ok());
+        assert_eq!(guard.open(&sealed(&KEY, 7, 9)), Err(Refusal::Duplicate));
+        assert!(guard.open(&sealed(&KEY, 7, 80)).is_ok());
+        assert_eq!(guard.open(&sealed(&KEY, 7, 10)), Err(Refusal::Replayed { counter: 10, latest: 80 }));
+        let next = sealed(&KEY, 7, 81);
         for bit in 0..8 * next.len() {
             assert!(guard.open(&flipped(&next, bit)).is_err() || bit >= 8 * (next.len() - 2), "bit {bit}");
         }
-        let mut torn = sealed(&KEY, 7, 12);
+        let mut torn = sealed(&KEY, 7, 82);
         torn[40] ^= 1;
         assert_eq!(guard.open(&torn), Err(Refusal::NotOurs(Reject::Fcs)));
         assert_eq!(guard.open(plain(7, 13).bytes()), Err(Refusal::Unsecured));
         // A larger counter that nobody could prove has locked nobody out.
-        assert!(guard.open(&sealed(&KEY, 7, 12)).is_ok());
+        assert!(guard.open(&sealed(&KEY, 7, 82)).is_ok());
         let Refused { unsecured, no_key, duplicate, replayed, .. } = guard.refused;
         assert_eq!((unsecured, no_key), (1, 0));
         assert!(duplicate >= 1 && replayed == 1 && guard.refused.forged > 1, "{:?}", guard.refused);
@@ -274,7 +311,7 @@ mod tests {
         guard.save(&path).unwrap();
         let mut again = Guard::new(Some(KEY));
         again.load(&path).unwrap();
-        assert_eq!(again.open(&sealed(&KEY, 7, 9)), Err(Refusal::Replayed { counter: 9, latest: 10 }));
+        assert_eq!(again.open(&sealed(&KEY, 7, 9)), Err(Refusal::Duplicate));
         assert!(again.open(&sealed(&KEY, 7, 11)).is_ok());
         std::fs::write(&path, "4c48 0007 10\n4c48 seven 10\n").unwrap();
         let error = again.load(&path).unwrap_err().to_string();

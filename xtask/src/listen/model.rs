@@ -26,6 +26,7 @@ use serde::Serialize;
 
 use crate::calib::{Calibration, schema};
 use crate::calibrate::sweeps::HALF_TURN_S;
+use crate::trust::{Guard, Refusal};
 
 /// Of the JSON: raised when a field changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -110,11 +111,13 @@ pub enum Cause {
     Replayed,
     /// Without a message integrity code where one is asked for.
     Unsecured,
+    /// With one, and nobody gave us the key.
+    NoKey,
 }
 
 impl Cause {
     /// All of them, in the order in which they are shown.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Length,
         Self::Fcs,
         Self::Header,
@@ -130,6 +133,7 @@ impl Cause {
         Self::Mic,
         Self::Replayed,
         Self::Unsecured,
+        Self::NoKey,
     ];
 
     /// For people: what it was.
@@ -151,6 +155,7 @@ impl Cause {
             Self::Mic => "integrity code wrong",
             Self::Replayed => "replayed",
             Self::Unsecured => "no integrity code",
+            Self::NoKey => "no key to check it with",
         }
     }
 }
@@ -167,6 +172,18 @@ impl From<Reject> for Cause {
             Reject::Mote => Self::Mote,
             Reject::Level => Self::Level,
             Reject::Code => Self::Code,
+        }
+    }
+}
+
+impl From<Refusal> for Cause {
+    fn from(refusal: Refusal) -> Self {
+        match refusal {
+            Refusal::NotOurs(reject) => reject.into(),
+            Refusal::Unsecured => Self::Unsecured,
+            Refusal::NoKey => Self::NoKey,
+            Refusal::Forged => Self::Mic,
+            Refusal::Duplicate | Refusal::Replayed { .. } => Self::Replayed,
         }
     }
 }
@@ -545,6 +562,8 @@ pub struct Swarm {
     forgotten: u64,
     ids: BTreeMap<(u16, u16), Vec<Voice>>,
     voices: usize,
+    /// Who is believed.
+    guard: Guard,
 }
 
 impl Swarm {
@@ -552,6 +571,11 @@ impl Swarm {
     #[must_use]
     pub fn new(room: Option<RoomNews>) -> Self {
         Self { room, ..Self::default() }
+    }
+
+    /// Believes frames under the room's key alone, if there is one.
+    pub fn under(&mut self, key: Option<[u8; 16]>) {
+        self.guard = Guard::new(key);
     }
 
     /// A receiver of that name, known from now on. Beyond [`SOURCES`] they share the last place.
@@ -592,7 +616,19 @@ impl Swarm {
 
     /// A frame, check sequence included. None if it was heard already.
     pub fn hear(&mut self, at_s: f64, source: SourceId, bytes: &[u8], signal: Signal) -> Option<Event> {
-        let opened = frame::parse(bytes).map_err(Cause::from);
+        let opened = match self.guard.open(bytes) {
+            // Another receiver has heard it.
+            Err(Refusal::Duplicate) => {
+                self.pass(at_s);
+                self.frames += 1;
+                self.duplicates += 1;
+                if let Some(source) = self.sources.get_mut(source) {
+                    source.frames += 1;
+                }
+                return None;
+            }
+            opened => opened.map_err(Cause::from),
+        };
         self.take(at_s, source, bytes, signal, opened)
     }
 

@@ -202,3 +202,46 @@ fn memory_has_an_end() {
     }
     assert!(swarm.ids[&(0x4C48, 1)].len() <= VOICES);
 }
+
+#[test]
+fn forged_replayed_and_plain_frames_are_counted_and_never_make_a_mote() {
+    const KEY: [u8; 16] = *b"a room of its ow";
+    let sealed = |mote: &mut Teller, key: &[u8; 16], counter: u32, at_s: f64| {
+        let mut frame = frame::Aligned::BLANK;
+        let report = Report { half_turn_q8: 83_333 << 8, time: (at_s * HZ) as u32, ..Report::default() };
+        frame::emit_into(&mut frame, mote.header, &report);
+        mote.header.sequence = mote.header.sequence.wrapping_add(1);
+        assert!(frame::secured::Key::new(key).seal(&mut frame, counter));
+        frame.bytes().to_vec()
+    };
+    let (mut swarm, source) = swarm();
+    swarm.under(Some(KEY));
+    let mut mote = Teller::new(7, 0, 0);
+    let early = sealed(&mut mote, &KEY, 10, 0.0);
+    let events = [
+        hear(&mut swarm, 0.0, source, &early),
+        hear(&mut swarm, 0.1, source, &early),
+        hear(&mut swarm, 0.2, source, &sealed(&mut mote, &KEY, 100, 0.2)),
+        hear(&mut swarm, 0.3, source, &early),
+        hear(&mut swarm, 0.4, source, &sealed(&mut Teller::new(8, 0, 0), b"another room's..", 1, 0.4)),
+        hear(&mut swarm, 0.5, source, &Teller::new(9, 0, 0).fix(0.5)),
+    ];
+    let told: Vec<Option<Cause>> = events
+        .iter()
+        .map(|event| match event {
+            Some(Event::Reject(rejected)) => Some(rejected.cause),
+            _ => None,
+        })
+        .collect();
+    let causes = [None, None, None, Some(Cause::Replayed), Some(Cause::Mic), Some(Cause::Unsecured)];
+    assert_eq!(told, causes);
+    assert!(events[1].is_none(), "the second receiver's copy is no news");
+    let all = swarm.snapshot(TRAIL);
+    let [one] = &all.motes[..] else { panic!("{all:?}") };
+    assert_eq!((one.key.as_str(), one.frames), ("4c48/7", 2));
+    // Without the key nothing can be checked, and nothing is shown.
+    let mut keyless = Swarm::new(None);
+    let source = keyless.add_source("roof", "nrf");
+    let event = keyless.hear(0.0, source, &early, Signal::default());
+    assert!(matches!(event, Some(Event::Reject(Rejected { cause: Cause::NoKey, .. }))), "{event:?}");
+}

@@ -143,13 +143,32 @@ pub enum Send {
     Steady,
 }
 
+impl Send {
+    /// As a room file has it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Slotted => "slotted",
+            Self::Jittered => "jittered",
+            Self::Steady => "steady",
+        }
+    }
+}
+
 /// Half turns that have a number: the bits of a station's frame, which repeats.
 pub const NUMBERED_HALF_TURNS: u16 = 358;
 
 impl Mote {
-    /// Which half turns it reports in: slots, unless it does so in all of them or too rarely.
+    /// Which half turns it reports in.
     #[must_use]
     pub fn sends(&self) -> Send {
+        self.send.unwrap_or(Send::Steady)
+    }
+
+    /// What serves best where there are other motes in the room: slots, unless it reports in all half turns or too
+    /// rarely for them.
+    #[must_use]
+    pub fn among_others(&self) -> Send {
         self.send.unwrap_or(match self.report_every_half_turns {
             0..=1 => Send::Steady,
             2..=NUMBERED_HALF_TURNS => Send::Slotted,

@@ -33,13 +33,18 @@ pub(crate) fn scum3c(calib: &Path, mote: &str) -> Result<Vec<u8>> {
 
 /// Puts what it builds onto chips.
 pub(crate) fn flash(arguments: &flash::Arguments) -> Result<()> {
+    // Who numbers motes has several, and they have to take turns.
+    let mote = |calib: &Path| -> Result<String> {
+        let one = arguments.id.is_none() && arguments.ids.is_none();
+        Ok(if one { String::new() } else { format!("send = \"{}\"", room(calib)?.mote.among_others().name()) })
+    };
     let workshop = Workshop {
         root: root(),
         default_calib: DEFAULT_CALIB,
         check: &|calib| room(calib).map(|_| ()),
         build: &|board, calib| match board {
-            Board::Scum3c => scum3c(calib, ""),
-            Board::Nrf52840 => read(&build_for(setup::CORTEX_M4F, board.name(), calib, "", run)?),
+            Board::Scum3c => scum3c(calib, &mote(calib)?),
+            Board::Nrf52840 => read(&build_for(setup::CORTEX_M4F, board.name(), calib, &mote(calib)?, run)?),
         },
     };
     flash::flash(arguments, &workshop, &mut std::io::stdin().lock())

@@ -44,6 +44,9 @@ pub(crate) fn ci() -> Result<()> {
     if let Err(error) = setup::broker() {
         println!("{error:#}; the tests that need a broker are skipped");
     }
+    if let Err(error) = setup::browser() {
+        println!("{error:#}; the tests that need a browser are skipped");
+    }
     run_all(&mut tally);
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("what the texts claim", || claims(&claims::Arguments::AFTER_BENCH));

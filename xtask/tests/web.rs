@@ -382,13 +382,13 @@ impl Browser {
         }
     }
 
-    /// Pixels of the canvas that are not empty, by whether they are of a colour (`r, g, b`, to 12).
+    /// Pixels of the canvas that are not empty, by whether they are of a colour (`r, g, b`, to 16).
     fn pixels(&mut self, colour: Option<[u8; 3]>) -> u64 {
         let [r, g, b] = colour.unwrap_or_default();
         let is = match colour {
             None => "d[n + 3] > 0".to_owned(),
             Some(_) => format!(
-                "d[n + 3] > 200 && Math.abs(d[n] - {r}) < 12 && Math.abs(d[n + 1] - {g}) < 12 && Math.abs(d[n + 2] - {b}) < 12"
+                "d[n + 3] > 60 && Math.abs(d[n] - {r}) < 16 && Math.abs(d[n + 1] - {g}) < 16 && Math.abs(d[n + 2] - {b}) < 16"
             ),
         };
         let expression = format!(
@@ -448,15 +448,19 @@ fn a_browser_shows_the_motes_that_were_sent_and_follows_them() {
     let reason = model::lock_reason(Lock::OneStation).expect("a reason");
     assert_eq!(browser.cell("4c48/8", "lock"), reason);
     assert_eq!(browser.value("document.querySelectorAll('#motes tr').length"), 2);
-    // Both are drawn, in their colours, with trails: a marker alone has less than 150 pixels.
+    // Both are drawn, in their colours.
     browser.until("drawn", "document.body.dataset.placed === '2'");
-    browser.picture("desk");
     let (first, second) = (browser.pixels(Some(FIRST)), browser.pixels(Some(SECOND)));
     assert!(first > 60 && second > 60 && browser.pixels(None) > 3000, "{first} {second}");
-    assert_eq!(
-        browser.value("[...document.querySelectorAll('#motes tr')].every(row => row.classList.contains('stale'))"),
-        false
-    );
+    assert_eq!(browser.value("document.querySelectorAll('tr.stale').length"), 0);
+    // Whoever comes later sees where they came from: the page sees a moment of them, the server has kept the rest.
+    browser.order("Page.reload", json!({}));
+    browser.until("drawn again", "document.body.dataset.placed === '2' && document.body.dataset.snapshots > 1");
+    let (trail, other) = (browser.pixels(Some(FIRST)), browser.pixels(Some(SECOND)));
+    browser.picture("desk");
+    browser.value("(trails.clear(), draw())");
+    let (first, second) = (browser.pixels(Some(FIRST)), browser.pixels(Some(SECOND)));
+    assert!(trail > first + 15 && other > second + 15, "{first} {second}, with trails {trail} {other}");
     // It moves on, and says so.
     listener.hear(22, &report(3, 22, 22, [0.75, 1.25, -0.5]));
     browser.until_cell("4c48/3", "z", "-0.500");

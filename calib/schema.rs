@@ -146,6 +146,7 @@ pub enum Send {
 impl Send {
     /// As a room file has it.
     #[must_use]
+    #[allow(dead_code, reason = "flashing alone asks")]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Slotted => "slotted",
@@ -168,6 +169,7 @@ impl Mote {
     /// What serves best where there are other motes in the room: slots, unless it reports in all half turns or too
     /// rarely for them.
     #[must_use]
+    #[allow(dead_code, reason = "flashing alone asks")]
     pub fn among_others(&self) -> Send {
         self.send.unwrap_or(match self.report_every_half_turns {
             0..=1 => Send::Steady,

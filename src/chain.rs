@@ -260,9 +260,7 @@ impl Solver {
     /// Of the mote with that short address, which says when it sends.
     #[must_use]
     pub fn of_mote(mote: u16) -> Self {
-        let mut solver = Self::default();
-        solver.send = send::State::new(mote);
-        solver
+        Self { send: send::State::new(mote), ..Self::default() }
     }
 
     /// Takes one sighting.

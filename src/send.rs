@@ -10,8 +10,8 @@
 //! of the motes get every second one.
 //!
 //! What can go wrong: until the frame was seen to begin, 18 flashes without a gap, the count is the mote's own: 1.5 s on
-//! average in full light, 6 s where one flash in twenty is lost. More motes than slots: two share one for good, so `every` is to be no less than there are motes. Slots come round with
-//! the frame, at its end a little early or late.
+//! average in full light, 6 s where one flash in twenty is lost. More motes than slots: two share one for good, so `every`
+//! is to be no less than there are motes. Slots come round with the frame, at its end a little early or late.
 
 use crate::frame::{Level, Report};
 use crate::ootx::FRAME_BITS;
@@ -149,7 +149,7 @@ impl State {
         self.dice ^= self.dice << 13;
         self.dice ^= self.dice >> 17;
         self.dice ^= self.dice << 5;
-        let spread = (self.dice >> 16) * (u32::from(every) + 1) >> 16;
+        let spread = ((self.dice >> 16) * (u32::from(every) + 1)) >> 16;
         (every / 2 + spread as u16).saturating_sub(1)
     }
 

@@ -68,7 +68,7 @@ mod tests {
             for mote in 0..every {
                 let own = slot(mote, every);
                 assert!(own < every && !taken[usize::from(own)], "mote {} of {}: {}", mote, every, own);
-                assert!(own % 2 == 0 || mote >= every / 2);
+                assert!(own.is_multiple_of(2) || mote >= every / 2);
                 assert_eq!(own, slot(mote + 5 * every, every));
                 taken[usize::from(own)] = true;
             }

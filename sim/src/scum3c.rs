@@ -399,10 +399,14 @@ mod tests {
     /// A chip whose scan chain is loaded, at cycle 0.
     fn chip() -> Scum3c {
         let mut chip = Scum3c::new(Config::default());
-        for value in writes(&needed()) {
-            put(&mut chip, acfg(22), value.into(), 0);
-        }
+        load_chain(&mut chip, 0);
         chip
+    }
+
+    fn load_chain(chip: &mut Scum3c, cycle: u64) {
+        for value in writes(&needed()) {
+            put(chip, acfg(22), value.into(), cycle);
+        }
     }
 
     fn acfg(register: u32) -> u32 {
@@ -684,7 +688,7 @@ mod tests {
 
     #[test]
     fn a_radio_that_fails_is_done_when_it_works_again() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         put(&mut chip, RF + 0x14, 0x4, 0);
         switch_transmitter_on(&mut chip, 0);
         ask_for_load(&mut chip, 9, 1_000);
@@ -700,7 +704,7 @@ mod tests {
 
     #[test]
     fn lines_that_fail_are_active_for_as_long() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         chip.fail(Failure::Lines(1 << 3), 10, 20);
         assert_eq!(chip.lines(), DARK | 1 << 3);
         chip.advance(20);
@@ -709,12 +713,15 @@ mod tests {
 
     #[test]
     fn power_that_comes_again_finds_new_devices_in_the_same_light() {
-        let mut chip = Scum3c::new(Config::default());
+        let mut chip = chip();
         chip.push_edge(100, true).unwrap();
         chip.push_edge(900, false).unwrap();
         put(&mut chip, RFTIMER, 0x7, 0);
         chip.power_cycle(500);
         assert_eq!(get(&mut chip, RFTIMER + 4, 600), 0);
+        // The scan chain is as new too: no pad is read.
+        assert_eq!(chip.lines(), DARK);
+        load_chain(&mut chip, 600);
         assert_eq!(chip.lines(), LIGHT);
         chip.advance(900);
         assert_eq!(chip.lines(), DARK);

@@ -12,6 +12,7 @@ use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
 
+#[allow(clippy::module_inception, reason = "the folder's name, here as in every binary")]
 #[path = "../../src/bin/mote/mod.rs"]
 pub(super) mod mote;
 

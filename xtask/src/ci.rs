@@ -51,6 +51,9 @@ pub(crate) fn ci() -> Result<()> {
     if let Err(error) = setup::broker() {
         println!("{error:#}; the tests that need a broker are skipped");
     }
+    if let Err(error) = setup::browser() {
+        println!("{error:#}; the tests that need a browser are skipped");
+    }
     // The tests that ask it are skipped without.
     tally.check("tshark", setup::tshark);
     run_all(&mut tally);

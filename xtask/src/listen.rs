@@ -1,14 +1,15 @@
 //! From the air to the desk: one mote or a swarm.
 //!
 //! One way: a [`source`] hands over frames (through [`receiver`] what a serial line says), [`model`] makes of them what is
-//! known of every mote, and views show that: [`dashboard`] in a terminal, lines where there is none, and [`output`],
-//! [`record`] and [`mqtt`] for other programs. [`simulate`] plays motes, [`measure`] weighs it all. `docs/listening.md` is
+//! known of every mote, and views show that: [`dashboard`] in a terminal, lines where there is none, [`web`] in browsers, and
+//! [`output`], [`record`] and [`mqtt`] for other programs. [`simulate`] plays motes, [`measure`] weighs it all. `docs/listening.md` is
 //! the manual.
 //!
 //! What can go wrong: see each part. Nothing that comes from the air or a receiver ends the listening.
 
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
@@ -26,6 +27,7 @@ pub mod receiver;
 pub mod record;
 pub mod simulate;
 pub mod source;
+pub mod web;
 
 use self::dashboard::{Dashboard, Wish};
 use self::model::{Cause, RoomNews, Shared, Snapshot, SourceId, SourceState, Swarm};
@@ -34,6 +36,7 @@ use self::output::{JsonLines, ReaderGone, Sink, Table};
 use self::receiver::Kind;
 use self::record::Recorder;
 use self::source::{Desk, Heard};
+use self::web::Web;
 use crate::calib::schema;
 use crate::trust;
 
@@ -104,6 +107,9 @@ struct Views {
     /// What this gateway is called at the broker [default: the computer's name]
     #[arg(long, value_name = "NAME")]
     mqtt_gateway: Option<String>,
+    /// A page for browsers at this address of this computer [default: 127.0.0.1:8015, or a free port]
+    #[arg(long, value_name = "ADDRESS", value_parser = web::address)]
+    web: Option<Option<SocketAddr>>,
     /// Lines instead of the dashboard, as where the output is no terminal
     #[arg(long)]
     plain: bool,
@@ -239,6 +245,11 @@ impl Views {
             let gateway = self.mqtt_gateway.clone().unwrap_or_else(computer);
             let broker = Broker { host, port, prefix: self.mqtt_prefix.clone(), gateway };
             sinks.push(Box::new(Mqtt::open(broker, shared.clone())?));
+        }
+        if let Some(at) = self.web {
+            let web = Web::open(at, shared.clone())?;
+            eprintln!("Page: {}", web.url());
+            sinks.push(Box::new(web));
         }
         Ok(sinks)
     }

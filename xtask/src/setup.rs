@@ -109,6 +109,15 @@ pub(crate) fn tshark() -> Result<()> {
     install("tshark").map_err(|error| anyhow!("tshark could not be installed ({error:#}); install it and try again"))
 }
 
+/// Makes sure that there is a browser to look at pages with.
+pub(crate) fn browser() -> Result<()> {
+    if runs(Command::new("chromium").arg("--version")) {
+        return Ok(());
+    }
+    println!("There is no browser to test against: installing the package chromium through apt-get.");
+    install("chromium")
+}
+
 fn has_board() -> bool {
     let asked = Command::new(qemu::PROGRAM).args(["-machine", "help"]).stdin(Stdio::null()).output();
     asked.is_ok_and(|asked| String::from_utf8_lossy(&asked.stdout).lines().any(|line| line.starts_with(qemu::MACHINE)))

@@ -55,7 +55,7 @@ fn a_key_that_nobody_knows_is_refused() {
     assert_eq!(
         complaint(&with("pan = ", "pam = ")),
         format!(
-            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, max_angle_age_ms, angle_noise_mrad, factory, lone"
+            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, send, moved_m, heartbeat_s, max_angle_age_ms, angle_noise_mrad, factory, lone, key_file"
         )
     );
 }

@@ -7,8 +7,9 @@
 //! A bound, not a measurement: a frame counts as a whole where a call is made from part of it, and every priority counts
 //! as interrupted at its worst.
 //!
-//! One recursion is known and has an end: a panic logs, and the log panics where it was taken already. The second panic
-//! has nothing to log (`src/bin/mote/fault.rs`), so a way through the panic handler is followed twice and no further.
+//! Two recursions are known and have an end, so a way through them is followed so often and no further. A panic logs, and
+//! the log panics where it was taken already; the second panic has nothing to log (`src/bin/mote/fault.rs`). The tracker
+//! crosses a long gap in strides, each a step of its own, which is no longer a gap (`src/track.rs`).
 //!
 //! What can go wrong: what cannot be read is an error and never a guess: a recursion, a jump out of a function through a
 //! register, a stack pointer that is set from one, a handler without a priority. A call through a register counts as a
@@ -28,9 +29,10 @@ use crate::bench::readable;
 const EXCEPTION_FRAME: u32 = 8 * 4 + 4;
 const FLOATING_POINT: u32 = 18 * 4;
 
-/// The panic handler's name holds this, and a way leads through it so often at most.
-const PANIC: &str = "rust_begin_unwind";
-const PANICS: u8 = 2;
+/// What a function's name holds, and how often a way leads through it at most.
+const RETURNING: [(&str, u8); 2] = [("rust_begin_unwind", 2), ("track::bridge", 1)];
+/// How often a way led through each.
+type Returns = [u8; RETURNING.len()];
 
 /// A task that an interrupt line runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -116,8 +118,8 @@ struct Function {
     calls_through_register: bool,
 }
 
-/// A function's address, and how many panics lie before it.
-type Place = (u32, u8);
+/// A function's address, and how often the way to it led through each of [`RETURNING`].
+type Place = (u32, Returns);
 /// Bytes, and the way, outermost first.
 type Need = (u32, Vec<u32>);
 
@@ -227,7 +229,7 @@ impl Program {
     }
 
     fn layer(&self, what: &str, first: &str, address: u32, entry: u32) -> Result<Layer> {
-        let (bytes, way) = self.need((address, 0), &mut Vec::new(), &mut BTreeMap::new())?;
+        let (bytes, way) = self.need((address, Returns::default()), &mut Vec::new(), &mut BTreeMap::new())?;
         let mut names: Vec<String> = way.iter().map(|address| self.name(*address)).collect();
         if let Some(name) = names.first_mut() {
             *name = first.to_string();
@@ -235,7 +237,7 @@ impl Program {
         Ok(Layer { what: what.to_string(), way: names, bytes: bytes + entry })
     }
 
-    /// What a function needs with all that it calls behind so many panics, and the way there.
+    /// What a function needs with all that it calls behind so many returns, and the way there.
     fn need(&self, place: Place, above: &mut Vec<Place>, known: &mut BTreeMap<Place, Need>) -> Result<Need> {
         if let Some(need) = known.get(&place) {
             return Ok(need.clone());
@@ -245,12 +247,15 @@ impl Program {
                 above[at..].iter().chain([&place]).map(|(address, _)| self.name(*address)).collect();
             bail!("a recursion, whose depth nobody knows: {}", names.join(" -> "));
         }
-        let (address, panics) = place;
+        let (address, mut returns) = place;
         let function =
             self.functions.get(&address).with_context(|| format!("{address:#x} is called and is no function"))?;
-        let panics = panics + u8::from(function.name.contains(PANIC));
-        if panics > PANICS {
-            return Ok((0, Vec::new()));
+        let name = readable(&function.name);
+        for ((held, most), count) in RETURNING.iter().zip(&mut returns) {
+            *count += u8::from(name.contains(held));
+            if *count > *most {
+                return Ok((0, Vec::new()));
+            }
         }
         above.push(place);
         let through: &BTreeSet<u32> = if function.calls_through_register { &self.taken } else { &BTreeSet::new() };
@@ -261,7 +266,7 @@ impl Program {
         );
         let mut most = (0, Vec::new());
         for callee in function.calls.iter().chain(through) {
-            let need = self.need((*callee, panics), above, known)?;
+            let need = self.need((*callee, returns), above, known)?;
             if need.0 > most.0 || most.1.is_empty() {
                 most = need;
             }
@@ -304,21 +309,25 @@ mod tests {
     #[test]
     fn the_neediest_way_counts_and_not_the_longest() {
         let program = program(&[(0, 8, &[2, 4]), (2, 8, &[6]), (4, 100, &[]), (6, 8, &[])]);
-        assert_eq!(program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new()).ok(), Some((108, vec![0, 4])));
+        assert_eq!(
+            program.need((0, Returns::default()), &mut Vec::new(), &mut BTreeMap::new()).ok(),
+            Some((108, vec![0, 4]))
+        );
     }
 
     #[test]
     fn a_recursion_is_named_and_refused() {
         let program = program(&[(0, 8, &[2]), (2, 8, &[4]), (4, 8, &[2])]);
-        let error = program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new()).expect_err("it goes round");
+        let error =
+            program.need((0, Returns::default()), &mut Vec::new(), &mut BTreeMap::new()).expect_err("it goes round");
         assert!(error.to_string().ends_with("f2 -> f4 -> f2"), "{error}");
     }
 
     #[test]
     fn a_panic_in_a_panic_is_followed_and_a_third_is_not() {
         let mut program = program(&[(0, 8, &[2]), (2, 100, &[4]), (4, 16, &[2])]);
-        program.functions.get_mut(&2).expect("it is there").name = PANIC.to_string();
-        let need = program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new());
+        program.functions.get_mut(&2).expect("it is there").name = RETURNING[0].0.to_string();
+        let need = program.need((0, Returns::default()), &mut Vec::new(), &mut BTreeMap::new());
         assert_eq!(need.ok(), Some((8 + 2 * (100 + 16), vec![0, 2, 4, 2, 4])));
     }
 
@@ -326,8 +335,11 @@ mod tests {
     fn a_call_through_a_register_may_go_wherever_an_address_is_known() {
         let mut program = program(&[(0, 8, &[]), (2, 40, &[]), (4, 16, &[])]);
         program.functions.get_mut(&0).expect("it is there").calls_through_register = true;
-        assert!(program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new()).is_err());
+        assert!(program.need((0, Returns::default()), &mut Vec::new(), &mut BTreeMap::new()).is_err());
         program.taken = BTreeSet::from([2, 4]);
-        assert_eq!(program.need((0, 0), &mut Vec::new(), &mut BTreeMap::new()).ok(), Some((48, vec![0, 2])));
+        assert_eq!(
+            program.need((0, Returns::default()), &mut Vec::new(), &mut BTreeMap::new()).ok(),
+            Some((48, vec![0, 2]))
+        );
     }
 }

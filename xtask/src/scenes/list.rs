@@ -31,7 +31,8 @@ const REASONS: [(&str, &[Reason]); 14] = [
     ("stuck-low-10s", &[Reason::NoLight]),
     // Rays that miss each other, too far for a track to begin or for a fix at all, or that meet outside the room.
     ("swapped", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
-    ("swapped-known", &[Reason::AStranger, Reason::BStranger]),
+    // Until their numbers are heard, as where nobody knows them.
+    ("swapped-known", &[Reason::AStranger, Reason::BStranger, Reason::Geometry]),
     ("moved-up-10cm", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
     ("moved-tilted-5deg", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
     ("single-a", &[Reason::OneStation]),

@@ -88,8 +88,9 @@ const TOLD: usize = 2;
 /// The memory for it.
 pub type Tales = Queue<Told, TOLD>;
 
-/// Frames that may wait, the one on the air among them.
-pub const FRAMES: usize = 4;
+/// Frames that may wait, the one on the air among them: as many as are made in 50 ms, for which a radio may be occupied
+/// with its own clock, where every sweep is reported.
+pub const FRAMES: usize = 8;
 /// The memory for them, where a transmitter can read it: on a word.
 pub type Air = Queue<Aligned, FRAMES>;
 

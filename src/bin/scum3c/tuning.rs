@@ -213,16 +213,21 @@ impl Lc {
         self.rest = Self::REST;
         if slow.abs() > LC_TOLERANCE {
             let steps = slow >> LC_STEP_BITS;
-            self.code = (self.code + if steps == 0 { 1 } else { steps }).clamp(0, LC_LAST);
-            self.encode();
-            self.rest = 0;
+            let code = (self.code + if steps == 0 { 1 } else { steps }).clamp(0, LC_LAST);
+            // At the end of its codes it is left there for a while.
+            if code != self.code {
+                self.code = code;
+                self.encode();
+                self.rest = 0;
+            }
         }
         let fast = chips - CHIP_CLOCK - ((late * 13) >> 7);
         for (code, limit) in CODES.iter().zip(CHIP_CLOCK_LIMITS) {
             if fast.abs() > limit {
                 // A higher code is a slower clock.
-                shift(code, fast.signum());
-                self.rest = 0;
+                if shift(code, fast.signum()) {
+                    self.rest = 0;
+                }
                 break;
             }
         }

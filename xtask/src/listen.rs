@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
+mod counters;
 pub mod dashboard;
 pub mod measure;
 pub mod model;
@@ -29,6 +30,7 @@ pub mod simulate;
 pub mod source;
 pub mod web;
 
+use self::counters::Counters;
 use self::dashboard::{Dashboard, Wish};
 use self::model::{Cause, RoomNews, Shared, Snapshot, SourceId, SourceState, Swarm};
 use self::mqtt::{Broker, Mqtt};
@@ -67,6 +69,10 @@ pub struct Arguments {
     /// Write everything into a new folder, as it goes: air.pcapng, fixes.csv, health.csv
     #[arg(long, value_name = "DIR")]
     record: Option<PathBuf>,
+    /// Where the frame counters of a room with a key are kept, so that no frame is believed twice [default: beside the
+    /// room's file, .counters]
+    #[arg(long, value_name = "FILE")]
+    counters: Option<PathBuf>,
     /// End after so long, seconds
     #[arg(long, value_name = "SECONDS", value_parser = rate)]
     seconds: Option<f64>,
@@ -172,6 +178,10 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
     let key = trust::key_of_environment()?.or(calibration.mote.key.map(|key| key.0));
     model::lock(&desk.shared).under(key);
     let mut sinks = arguments.views.sinks(&desk.shared)?;
+    if key.is_some() {
+        let path = arguments.counters.clone().unwrap_or_else(|| calib.with_extension("counters"));
+        sinks.push(Box::new(Counters::open(path, desk.shared.clone())?));
+    }
     if let Some(dir) = &arguments.record {
         sinks.push(Box::new(Recorder::create(dir, Some(&calib), desk.shared.clone())?));
     }
@@ -290,6 +300,9 @@ impl Session {
         // The terminal comes back before anything is said.
         drop(view);
         self.desk.enough.store(true, Ordering::Relaxed);
+        for sink in &mut self.sinks {
+            sink.end()?;
+        }
         let reader_gone = matches!(&ended, Err(error) if error.is::<ReaderGone>());
         if !reader_gone {
             ended?;

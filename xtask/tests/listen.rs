@@ -16,7 +16,8 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use fixed::types::I16F16;
-use lighthouse_mote::frame::{Header, Level, Report, emit};
+use lighthouse_mote::frame::secured::Key;
+use lighthouse_mote::frame::{Aligned, Header, Level, Report, emit, emit_into};
 use player::{Player, line};
 use proptest::prelude::*;
 use serde_json::Value;
@@ -311,6 +312,38 @@ impl Drop for Running {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
+}
+
+#[test]
+fn a_secured_frame_is_believed_once_and_not_again_by_the_next_listener() {
+    const KEY: [u8; 16] = *b"a room of its ow";
+    let dir = tempfile::tempdir().expect("a folder");
+    let [air, key, counters, summary] = ["air.pcap", "key", "heard", "all.json"].map(|name| dir.path().join(name));
+    let frames: Vec<Vec<u8>> = (0..5)
+        .map(|sequence| {
+            let mut frame = Aligned::BLANK;
+            emit_into(&mut frame, Header { pan: 0x4C48, mote: 7, sequence }, &Report::default());
+            assert!(Key::new(&KEY).seal(&mut frame, 100 + u32::from(sequence)));
+            frame.bytes().to_vec()
+        })
+        .collect();
+    fs::write(&air, captured(195, &frames, <[u8]>::to_vec)).expect("a capture");
+    fs::write(&key, KEY.map(|byte| format!("{byte:02x}")).concat()).expect("a key");
+    let heard = || {
+        let [air, counters, summary] = [&air, &counters, &summary].map(|path| path.to_str().expect("a plain path"));
+        let words = ["listen", "--capture", air, "--counters", counters, "--summary", summary, "--plain"];
+        let done = xtask(&words).env("LIGHTHOUSE_KEY", &key).output().expect("it starts");
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        serde_json::from_slice::<Value>(&fs::read(summary).expect("a summary")).expect("JSON")
+    };
+    let (first, again) = (heard(), heard());
+    assert_eq!(
+        (first["motes"].as_array().map(Vec::len), first["rejects"]["replayed"].as_u64()),
+        (Some(1), None),
+        "{first}"
+    );
+    assert_eq!(again["motes"].as_array().map(Vec::len), Some(0), "{again}");
+    assert_eq!(fs::read_to_string(&counters).expect("counters"), "4c48 0007 104\n");
 }
 
 /// A swarm recorded for a while by a program that is then killed.

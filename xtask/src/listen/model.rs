@@ -578,6 +578,11 @@ impl Swarm {
         self.guard = Guard::new(key);
     }
 
+    /// Who decides which frames are believed.
+    pub(super) fn guard_mut(&mut self) -> &mut Guard {
+        &mut self.guard
+    }
+
     /// A receiver of that name, known from now on. Beyond [`SOURCES`] they share the last place.
     pub fn add_source(&mut self, name: &str, kind: &'static str) -> SourceId {
         if self.sources.len() >= SOURCES {

@@ -36,6 +36,14 @@ pub trait Sink {
     /// It cannot be written.
     fn tick(&mut self) -> Result<()>;
 
+    /// Is called once, when the listening is over.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    fn end(&mut self) -> Result<()> {
+        Ok(())
+    }
+
     /// One line about it, where there is something to say.
     fn note(&self) -> Option<String> {
         None

@@ -2,6 +2,9 @@
 
 #[path = "../calib/firmware.rs"]
 mod firmware;
+#[allow(dead_code, reason = "a board's build uses more of it")]
+#[path = "../calib/key.rs"]
+mod key;
 #[path = "../calib/quantise.rs"]
 mod quantise;
 #[allow(dead_code, reason = "a board's build uses more of it")]

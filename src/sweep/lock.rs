@@ -466,9 +466,16 @@ impl Lock {
         rise: i32,
         width: u32,
     ) -> Option<bool> {
+        // Made anew: a bit of them may have flipped, and all that is off comes by here.
+        self.units = Units::of(self.half_turn.ticks_q8());
         let Units { half_turn, step, .. } = self.units;
         let base = half_turn >> TOLERANCE_SHIFT;
-        let is_late = self.trains[station as usize].noise > base;
+        let train = &mut self.trains[station as usize];
+        // No receiver lengthens a flash by two steps of its width: that is memory gone wrong.
+        if train.bias_q3.unsigned_abs() >> (BIAS_SHIFT + 1) >= step as u32 {
+            train.bias_q3 = 0;
+        }
+        let is_late = train.noise > base;
         // Wherever a flash is, its width tells the bit, unless its station is seen to come on late; or that is not known
         // yet, as long as no drift is.
         let from = if is_late || self.drift_q8 == 0 { rise } else { 0 };

@@ -11,13 +11,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::Path;
-use std::process::Command;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::process::{root, run};
+use crate::process::{cargo, root, run};
 
 /// What the comparison may be told.
 #[derive(clap::Args)]
@@ -163,9 +162,9 @@ impl Source {
     /// Runs the command, unless its summary is to be taken as it lies there.
     fn numbers(&self, as_left: bool) -> Result<Value> {
         if !as_left {
-            let own = std::env::current_exe().context("cannot find this program")?;
             for command in &self.commands {
-                run(Command::new(&own).args(command.split_whitespace()))?;
+                // Through cargo: a build may have put another program in this one's place.
+                run(cargo(&["xtask"]).args(command.split_whitespace()))?;
             }
         }
         let path = root().join(&self.summary);

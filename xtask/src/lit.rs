@@ -63,6 +63,9 @@ pub(crate) struct Lit {
     waiting: Option<Edge>,
 }
 
+/// Light is handed over by so many cycles early: an instruction that has begun is finished, and an edge may fall into it.
+const AHEAD: u64 = 64;
+
 impl Lit {
     /// A mote with `elf` at power-on, in the light of `scene`.
     pub(crate) fn boot(elf: &[u8], scene: &Scene, seed: u64) -> Result<Self> {
@@ -80,7 +83,7 @@ impl Lit {
     /// The same to a cycle.
     pub(crate) fn run_to_cycle(&mut self, cycle: u64) -> Result<Option<Halted>> {
         while let Some(edge) = self.waiting.take().or_else(|| self.world.next_edge()) {
-            if edge.cycle > cycle {
+            if edge.cycle > cycle + AHEAD {
                 self.waiting = Some(edge);
                 break;
             }

@@ -60,6 +60,10 @@ pub(crate) fn ci() -> Result<()> {
     tally.check("costs", || bench(&bench::Arguments::PLAIN));
     tally.check("what the texts claim", || claims(&claims::Arguments::AFTER_BENCH));
     tally.check("the same fixes on two boards", || fly::run(&fly::Arguments::both_boards()));
+    tally.check("two motes take turns", || {
+        let few = ["--motes", "4", "--rooms", "2", "--seconds", "4"];
+        run(cargo(&["xtask", "swarm", "--firmware", "2"]).args(few))
+    });
     tally.check("scenes", || scenes(&scenes::Arguments::PLAIN));
     tally.check("soak, half a minute", || soak(&soak::Arguments::SHORT));
     tally.check("faults, a few of each", || faults(&faults::Arguments::SHORT));

@@ -52,17 +52,9 @@ impl mote::stages::Board for Scum3c {
     }
 }
 
-/// The room, as baked by build.rs.
-mod calib {
-    include!(concat!(env!("OUT_DIR"), "/calib.rs"));
-}
-
 /// Who this mote is; a programmer overwrites it.
 #[used]
-static IDENTITY: Block = {
-    let baked = Identity { mote: calib::MOTE, pan: calib::PAN, channel: 0 };
-    Block::new(baked, identity::READS_ADDRESS | identity::READS_CHANNEL)
-};
+static IDENTITY: Block = mote::room::identity(identity::READS_ADDRESS | identity::READS_CHANNEL);
 
 /// Where the frame counter begins; a programmer overwrites it.
 #[cfg(feature = "security")]
@@ -78,9 +70,9 @@ static KEPT: mote::seal::Kept = mote::seal::Kept::new();
 mod app {
     use lighthouse_mote::frame::Reset;
 
-    use crate::calib::CONFIG;
     use crate::capture::{self, Capture};
     use crate::image::{self, Image};
+    use crate::mote::room::CONFIG;
     #[cfg(feature = "security")]
     use crate::mote::seal::Seal;
     use crate::mote::stages::{Air, Classify, Frames, Sightings, Solve, Tales};
@@ -130,7 +122,7 @@ mod app {
         };
         let solve = Solve::new(sightings, tales, Frames::new(to_radio), reset);
         #[cfg(feature = "security")]
-        let solve = solve.under(crate::calib::KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
+        let solve = solve.under(crate::mote::room::KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
         (
             Shared {
                 capture,
@@ -160,12 +152,7 @@ mod app {
     #[task(binds = SOFT4, priority = 3, shared = [classify])]
     fn classify(cx: classify::Context) {
         let done = cx.shared.classify.run(&CONFIG);
-        if done.passed_on {
-            rtic::pend(Interrupt::SOFT5);
-        }
-        if done.more {
-            rtic::pend(Interrupt::SOFT4);
-        }
+        done.wake(|| rtic::pend(Interrupt::SOFT5), || rtic::pend(Interrupt::SOFT4));
     }
 
     #[task(binds = SOFT10, priority = 3, shared = [classify])]
@@ -180,12 +167,7 @@ mod app {
     #[task(binds = SOFT5, priority = 1, local = [solve])]
     fn solve(cx: solve::Context) {
         let done = cx.local.solve.run(&CONFIG);
-        if done.passed_on {
-            rtic::pend(Interrupt::RF);
-        }
-        if done.more {
-            rtic::pend(Interrupt::SOFT5);
-        }
+        done.wake(|| rtic::pend(Interrupt::RF), || rtic::pend(Interrupt::SOFT5));
     }
 
     #[task(binds = RF, priority = 2, shared = [radio])]

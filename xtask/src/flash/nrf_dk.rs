@@ -37,10 +37,7 @@ const RESYNC: Duration = Duration::from_millis(50);
 /// # Errors
 /// [`Trouble`], and at what.
 pub fn program(line: &mut Line, image: &Image, timing: &Timing, progress: Progress<'_>) -> Result<()> {
-    line.send(&[hdlc::FLAG])?;
-    sleep(RESYNC);
-    line.discard()?;
-    command(line, &[START], timing.answer).context("resetting the mote")?;
+    reset(line, timing.answer).context("resetting the mote")?;
     for (n, chunk) in image.bytes().chunks(CHUNK).enumerate() {
         let sent = n * CHUNK;
         progress(sent);
@@ -51,6 +48,13 @@ pub fn program(line: &mut Line, image: &Image, timing: &Timing, progress: Progre
     command(line, &[BOOT], timing.boot).context("booting the mote")?;
     sleep(timing.check);
     command(line, &[CALIBRATE], timing.calibration).context("calibrating the mote")
+}
+
+fn reset(line: &mut Line, limit: Duration) -> Result<(), Trouble> {
+    line.send(&[hdlc::FLAG])?;
+    sleep(RESYNC);
+    line.discard()?;
+    command(line, &[START], limit)
 }
 
 fn command(line: &mut Line, payload: &[u8], limit: Duration) -> Result<(), Trouble> {

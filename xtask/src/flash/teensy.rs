@@ -43,25 +43,19 @@ pub enum Way {
 /// # Errors
 /// [`Trouble`], and at what.
 pub fn program(line: &mut Line, image: &Image, way: Way, timing: &Timing, progress: Progress<'_>) -> Result<()> {
-    line.discard()?;
-    line.send(b"transfersram\n")?;
-    let started = line.receive(timing.answer).and_then(|got| expect("Executing SRAM Transfer", got));
-    started.context("asking for the transfer")?;
+    transferring(line, timing.answer).context("asking for the transfer")?;
     for (n, piece) in image.bytes().chunks(PIECE).enumerate() {
         let sent = n * PIECE;
         progress(sent);
         line.send(piece).with_context(|| format!("after {sent} of {} bytes", image::LEN))?;
     }
     progress(image::LEN);
-    line.send(b"insertcrc\n")?;
+    line.send(b"insertcrc\n").context("asking for the CRC")?;
     let (boot, done, calibrate): (&[&[u8]], _, &[u8]) = match way {
         Way::Light => (&[LIGHT.as_bytes(), b"encode4b5b\n", b"bootopt4b5b\n"], "Optical Boot Complete", b"opti_cal\n"),
         Way::Wire => (&[b"boot3wb\n"], "3WB Bootload Complete", b"3wb_cal\n"),
     };
-    for words in boot {
-        line.send(words)?;
-    }
-    booted(line, done, timing.boot).context("booting the mote")?;
+    booted(line, boot, done, timing.boot).context("booting the mote")?;
     sleep(timing.check);
     line.send(calibrate).context("calibrating the mote")?;
     // Nobody says when that is over; the mote must stay where it is until then.
@@ -69,8 +63,17 @@ pub fn program(line: &mut Line, image: &Image, way: Way, timing: &Timing, progre
     Ok(())
 }
 
+fn transferring(line: &mut Line, limit: Duration) -> Result<(), Trouble> {
+    line.discard()?;
+    line.send(b"transfersram\n")?;
+    expect("Executing SRAM Transfer", line.receive(limit)?)
+}
+
 /// Some Teensys say that they begin before they say that they are done.
-fn booted(line: &mut Line, done: &'static str, limit: Duration) -> Result<(), Trouble> {
+fn booted(line: &mut Line, boot: &[&[u8]], done: &'static str, limit: Duration) -> Result<(), Trouble> {
+    for words in boot {
+        line.send(words)?;
+    }
     let mut got = line.receive(limit)?;
     if got.starts_with("Executing") {
         got = line.receive(limit)?;

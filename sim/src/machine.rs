@@ -290,9 +290,9 @@ impl<B: Bus> Machine<B> {
             }
             if self.core.halt.is_some() || self.core.fault_is_new {
                 match self.halted() {
-                    Halted::Continue => {}
-                    Halted::Returned => return None,
-                    Halted::Stop(stop) => return Some(stop),
+                    Next::Continue => {}
+                    Next::Returned => return None,
+                    Next::Stop(stop) => return Some(stop),
                 }
             }
             if self.core.change_exception(&mut self.memory, &mut self.bus) {
@@ -315,26 +315,26 @@ impl<B: Bus> Machine<B> {
         }
     }
 
-    fn halted(&mut self) -> Halted {
+    fn halted(&mut self) -> Next {
         let halt = self.core.halt.take();
         let fault_is_new = std::mem::take(&mut self.core.fault_is_new);
         let fault = self.core.last_fault;
         match (halt, fault) {
-            (Some(Halt::Returned), _) => Halted::Returned,
-            (Some(Halt::Reset), _) => Halted::Stop(Stop::Reset),
+            (Some(Halt::Returned), _) => Next::Returned,
+            (Some(Halt::Reset), _) => Next::Stop(Stop::Reset),
             (Some(Halt::Breakpoint { immediate }), _) => self.breakpoint(immediate),
             (Some(Halt::Lockup), fault) => {
                 self.core.halt = halt;
                 let pc = self.core.registers.pc;
                 let unknown = Fault { pc, address: pc, why: "no vector", cycle: self.core.cycles };
-                Halted::Stop(Stop::Lockup(fault.unwrap_or(unknown)))
+                Next::Stop(Stop::Lockup(fault.unwrap_or(unknown)))
             }
-            (None, Some(fault)) if fault_is_new && self.config.fault_is_fatal => Halted::Stop(Stop::Fault(fault)),
-            (None, _) => Halted::Continue,
+            (None, Some(fault)) if fault_is_new && self.config.fault_is_fatal => Next::Stop(Stop::Fault(fault)),
+            (None, _) => Next::Continue,
         }
     }
 
-    fn breakpoint(&mut self, immediate: u8) -> Halted {
+    fn breakpoint(&mut self, immediate: u8) -> Next {
         let pc = self.core.registers.pc;
         if immediate == semihosting::BREAKPOINT && self.config.semihosting {
             let centiseconds = || (self.core.cycles * 100 / u64::from(self.config.clock_hz.max(1))) as u32;
@@ -344,13 +344,13 @@ impl<B: Bus> Machine<B> {
             match answer {
                 Answer::Continue(value) => {
                     self.core.registers.set(0, value);
-                    Halted::Continue
+                    Next::Continue
                 }
-                Answer::Exit(code) => Halted::Stop(Stop::Exit(code)),
+                Answer::Exit(code) => Next::Stop(Stop::Exit(code)),
             }
         } else if self.config.stop_at_breakpoints {
             self.core.skip_breakpoint();
-            Halted::Stop(Stop::Breakpoint { pc, immediate })
+            Next::Stop(Stop::Breakpoint { pc, immediate })
         } else {
             self.core.refuse_breakpoint();
             self.halted()
@@ -358,7 +358,8 @@ impl<B: Bus> Machine<B> {
     }
 }
 
-enum Halted {
+/// What a halt of the core leads to.
+enum Next {
     Continue,
     Returned,
     Stop(Stop),

@@ -24,6 +24,7 @@ mod analog_cfg;
 mod failure;
 mod gpio;
 mod oscillators;
+mod refusal;
 mod rf_controller;
 mod rftimer;
 mod scan_chain;
@@ -42,9 +43,10 @@ pub use analog_cfg::{Clocks, Powered};
 pub use failure::Failure;
 pub use gpio::EdgeError;
 pub use oscillators::Oscillators;
-pub use rf_controller::{Refusal, SentFrame, Why};
+pub use refusal::{Needed, Refusal, Why};
+pub use rf_controller::SentFrame;
 pub use rftimer::Ratio;
-pub use scan_chain::{NEEDED, Needed};
+pub use scan_chain::NEEDED;
 
 /// Interrupt number of the radio controller (SCuM-3C test code, cm0dsasm.s:43-58, as all of these).
 pub const IRQ_RF: u32 = 6;
@@ -233,11 +235,6 @@ impl Scum3c {
     /// The optical level now.
     pub fn light(&self) -> bool {
         self.gpio.level()
-    }
-
-    /// The sixteen output pads.
-    pub fn gpio_output(&self) -> u16 {
-        self.gpio.output() as u16
     }
 
     /// The scan chain as last loaded: bit n at `0x8000_0000 >> (n % 32)` of word n / 32.
@@ -603,7 +600,7 @@ mod tests {
         put(&mut chip, DMA_BASE + DMA_RX_ADDR, 0x2000_1000, 0);
         put(&mut chip, GPIO + 0x4_0000, 0x8001, 0);
         assert_eq!(get(&mut chip, DMA_BASE + DMA_RX_ADDR, 0), 0x2000_1000);
-        assert_eq!(chip.gpio_output(), 0x8001);
+        assert_eq!(get(&mut chip, GPIO + 0x4_0000, 0), 0x8001);
     }
 
     #[test]

@@ -73,11 +73,6 @@ impl Nvic {
         self.pending & bit(number) != 0
     }
 
-    /// Whether the exception is active: being handled, or preempted while it was.
-    pub fn is_active(&self, number: u8) -> bool {
-        self.active & bit(number) != 0
-    }
-
     /// The external lines whose interrupts are enabled.
     pub fn enabled_lines(&self) -> u32 {
         (self.enabled >> FIRST_IRQ) as u32

@@ -29,7 +29,7 @@ pub struct Registers {
     pub ipsr: u8,
     on_process_stack: bool,
     other_sp: u32,
-    lowest_sp: [u32; 2],
+    lowest_main_sp: u32,
 }
 
 impl Default for Registers {
@@ -45,7 +45,7 @@ impl Default for Registers {
             ipsr: 0,
             on_process_stack: false,
             other_sp: 0,
-            lowest_sp: [u32::MAX; 2],
+            lowest_main_sp: u32::MAX,
         }
     }
 }
@@ -87,21 +87,16 @@ impl Registers {
 
     /// The lowest value the main stack pointer had since the last reset of this mark.
     pub fn lowest_main_sp(&self) -> u32 {
-        self.lowest_sp[0]
+        self.lowest_main_sp
     }
 
-    /// The lowest value the process stack pointer had since the last reset of this mark.
-    pub fn lowest_process_sp(&self) -> u32 {
-        self.lowest_sp[1]
-    }
-
-    /// Starts the marks of the lowest stack pointers anew.
+    /// Starts the mark of the lowest main stack pointer anew.
     pub fn forget_lowest_sp(&mut self) {
-        self.lowest_sp = [self.msp(), if self.psp() == 0 { u32::MAX } else { self.psp() }];
+        self.lowest_main_sp = self.msp();
     }
 
     pub(crate) fn restart(&mut self, stack: u32) {
-        *self = Self { r: [0; 16], ..Self::default() };
+        *self = Self::default();
         self.set(LR, u32::MAX);
         self.set_sp(stack);
     }
@@ -119,8 +114,9 @@ impl Registers {
     #[inline(always)]
     pub(crate) fn set_sp(&mut self, value: u32) {
         self.r[13] = value & !3;
-        let lowest = &mut self.lowest_sp[usize::from(self.on_process_stack)];
-        *lowest = (*lowest).min(self.r[13]);
+        if !self.on_process_stack {
+            self.lowest_main_sp = self.lowest_main_sp.min(self.r[13]);
+        }
     }
 
     pub(crate) fn use_stack(&mut self, process: bool) {

@@ -3,7 +3,7 @@
 //! What can go wrong: ARMv6-M has only word registers here; anything narrower faults instead of being UNPREDICTABLE.
 //! Reserved words read as zero and ignore writes; the rest of the private peripheral bus is empty and faults.
 
-use super::nvic::{HARD_FAULT, NMI, PENDSV, SVCALL, SYSTICK};
+use super::nvic::{NMI, PENDSV, SVCALL, SYSTICK};
 use super::{Core, Halt};
 use crate::bus::{BusFault, Size};
 
@@ -93,11 +93,6 @@ impl Core {
                 nvic.unpend(number);
             }
         }
-    }
-
-    /// Whether the core is in HardFault or NMI, where another fault has nowhere to go.
-    pub fn is_handling_fault(&self) -> bool {
-        self.nvic.is_active(HARD_FAULT) || self.nvic.is_active(NMI)
     }
 }
 

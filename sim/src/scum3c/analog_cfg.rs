@@ -13,7 +13,7 @@
 //! nothing. Without [`Oscillators`] the clocks are as the configuration says, whatever the codes.
 
 use super::oscillators::Oscillators;
-use super::rf_controller::Why;
+use super::refusal::Why;
 use super::scan_chain::{ScanChain, WORDS};
 use std::num::NonZeroU32;
 

@@ -89,10 +89,6 @@ impl Gpio {
         self.level
     }
 
-    pub(super) fn output(&self) -> u32 {
-        self.output
-    }
-
     pub(super) fn read(&self, offset: u32) -> Result<u32, &'static str> {
         match offset {
             INPUT => Ok(if self.level { OPTICAL_PADS } else { 0 }),

@@ -7,7 +7,7 @@
 //! What can go wrong: a bit that the public sources set and nobody documents may be needed or not. Needed is here what
 //! `lighthouse.c:24-200` sets or clears by number; the codes of supplies and oscillators are the firmware's to choose.
 
-use super::rf_controller::Why;
+use super::refusal::{Needed, Why};
 
 /// The scan chain's length.
 pub(super) const BITS: usize = 1216;
@@ -18,17 +18,6 @@ const SCAN_IN: u16 = 0x01;
 const PHI1: u16 = 0x02;
 const PHI2: u16 = 0x04;
 const LOAD: u16 = 0x08;
-
-/// A bit that has to be so.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Needed {
-    /// Its number.
-    pub bit: u16,
-    /// Its value.
-    pub value: bool,
-    /// What it does.
-    pub what: &'static str,
-}
 
 /// Every bit that the lighthouse set-up needs (SCuM-3C test code, lighthouse.c:24-200 and what it calls in
 /// scm3c_hw_interface.c, lines as given).

@@ -12,13 +12,13 @@ use serde::{Deserialize, Serialize};
 pub const HALF_TURN_S: f64 = 1.0 / 120.0;
 
 /// The shortest sync flash: azimuth, data 0, no skip (3,000 ticks of 48 MHz).
-pub const SYNC_US: f64 = 62.5;
+const SYNC_US: f64 = 62.5;
 /// Added to the flash when elevation is swept (500 ticks of 48 MHz).
-pub const SYNC_AXIS_US: f64 = 500.0 / 48.0;
+const SYNC_AXIS_US: f64 = 500.0 / 48.0;
 /// Added to the flash when the data bit is one (1,000 ticks of 48 MHz).
-pub const SYNC_DATA_US: f64 = 1_000.0 / 48.0;
+const SYNC_DATA_US: f64 = 1_000.0 / 48.0;
 /// Added to the flash when the station will not sweep (2,000 ticks of 48 MHz).
-pub const SYNC_SKIP_US: f64 = 2_000.0 / 48.0;
+const SYNC_SKIP_US: f64 = 2_000.0 / 48.0;
 
 /// One of the two stations, by who flashes first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]

@@ -20,12 +20,6 @@ pub fn run() {
     say("sorting", &[sorting()]);
 }
 
-/// The same work for whoever wants to time it.
-#[unsafe(no_mangle)]
-pub extern "C" fn software_work() -> u32 {
-    integers() ^ floats() ^ sorting()
-}
-
 fn integers() -> u32 {
     let mut digest = Digest::default();
     let mut state = 0x1234_5678;

@@ -16,13 +16,17 @@
 //!
 //! What can go wrong: every complaint names the file, the line, the field and the value.
 
+#[path = "schema/table.rs"]
+mod table;
+
 use std::fmt;
 use std::path::Path;
 
 use toml::Spanned;
-use toml::de::{DeTable, DeValue};
+use toml::de::DeValue;
 
 use super::key::{self, Key};
+use table::{At, Source, Table, parse, root, shown};
 
 /// A measured room.
 #[derive(Debug, Clone)]
@@ -146,7 +150,6 @@ pub enum Send {
 impl Send {
     /// As a room file has it.
     #[must_use]
-    #[allow(dead_code, reason = "flashing alone asks")]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Slotted => "slotted",
@@ -274,16 +277,12 @@ pub fn read(file: &str, text: &str) -> Result<Calibration, Error> {
     Ok(Calibration { provenance, stations, room, mote })
 }
 
-fn parse(source: Source<'_>) -> Result<Spanned<DeTable<'_>>, Error> {
-    DeTable::parse(source.text).map_err(|error| {
-        let start = error.span().map_or(0, |span| span.start);
-        source.error(start, "", error.message().to_string())
-    })
-}
-
-fn root<'a>(source: Source<'a>, parsed: &'a Spanned<DeTable<'a>>) -> Table<'a> {
-    Table { source, path: String::new(), at: parsed.span().start, table: parsed.get_ref() }
-}
+/// The words of a room file.
+const FACTORY_SOURCES: [(&str, FactorySource); 2] =
+    [("file", FactorySource::File), ("received", FactorySource::Received)];
+const NAMES: [(&str, Name); 2] = [("A", Name::A), ("B", Name::B)];
+const ESTIMATES: [(&str, Estimate); 3] =
+    [("track", Estimate::Track), ("fix", Estimate::Fix), ("angles", Estimate::Angles)];
 
 /// How far R R^T may be from the identity: nine printed decimals leave 1e-8, hand-typed numbers more.
 const ROTATION_TOLERANCE: f64 = 1e-4;
@@ -317,10 +316,10 @@ fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
     let mut factory = [Rotor::default(); 2];
     let mut source = None;
     if let Some(DeValue::String(_)) = table.get("factory").map(Spanned::get_ref) {
-        source = table.optional("factory", |value, at| at.factory_source(value))?;
+        source = table.optional("factory", |value, at| at.choice(value, &FACTORY_SOURCES))?;
     } else if let Some(terms) = table.table("factory")? {
         terms.only(&["source", "az", "el"])?;
-        source = terms.optional("source", |value, at| at.factory_source(value))?;
+        source = terms.optional("source", |value, at| at.choice(value, &FACTORY_SOURCES))?;
         for (rotor, axis) in factory.iter_mut().zip(["az", "el"]) {
             if let Some(terms) = terms.table(axis)? {
                 *rotor = self::rotor(&terms)?;
@@ -401,7 +400,8 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
     let report_every_half_turns = whole("report_every_half_turns", usual.report_every_half_turns, 12_000)?;
     let flaw = (report_every_half_turns == 0).then(|| "0 would report without end; 1 reports every fix".to_string());
     table.check("report_every_half_turns", flaw)?;
-    let send = table.optional("send", |value, at| at.send(value))?.or(usual.send);
+    let sends = [Send::Slotted, Send::Jittered, Send::Steady].map(|send| (send.name(), send));
+    let send = table.optional("send", |value, at| at.choice(value, &sends))?.or(usual.send);
     let flaw = (send == Some(Send::Slotted) && report_every_half_turns > NUMBERED_HALF_TURNS).then(|| {
         format!(
             "\"slotted\" repeats every {NUMBERED_HALF_TURNS} half turns, and report_every_half_turns is \
@@ -416,7 +416,7 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         table.check(key, flaw)?;
         Ok(value)
     };
-    let key = table.optional("key_file", |value, at| at.key(value))?.or(usual.key);
+    let key = table.optional("key_file", self::key)?.or(usual.key);
     Ok(Mote {
         key,
         send,
@@ -425,12 +425,12 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         heartbeat_s: number("heartbeat_s", usual.heartbeat_s, 0.1..=540.0, "s")?,
         id: whole("id", usual.id, 0xFFFD)?,
         pan: whole("pan", usual.pan, 0xFFFE)?,
-        estimate: table.optional("estimate", |value, at| at.estimate(value))?.unwrap_or(usual.estimate),
+        estimate: table.optional("estimate", |value, at| at.choice(value, &ESTIMATES))?.unwrap_or(usual.estimate),
         report_every_half_turns,
         max_angle_age_ms,
         angle_noise_mrad,
-        factory: table.optional("factory", |value, at| at.factory_source(value))?.unwrap_or(usual.factory),
-        lone: table.optional("lone", |value, at| at.name(value))?.or(usual.lone),
+        factory: table.optional("factory", |value, at| at.choice(value, &FACTORY_SOURCES))?.unwrap_or(usual.factory),
+        lone: table.optional("lone", |value, at| at.choice(value, &NAMES))?.or(usual.lone),
     })
 }
 
@@ -451,197 +451,11 @@ fn rotation_flaw(r: &[[f64; 3]; 3]) -> Option<String> {
     (determinant < 0.0).then(|| "is a mirror image: its determinant is -1".to_string())
 }
 
-/// The text and its name, for line numbers.
-#[derive(Clone, Copy)]
-struct Source<'a> {
-    file: &'a str,
-    text: &'a str,
-}
-
-impl Source<'_> {
-    fn error(&self, byte: usize, field: &str, what: String) -> Error {
-        let before = self.text.get(..byte).unwrap_or(self.text);
-        let line = 1 + before.matches('\n').count();
-        Error { file: self.file.to_string(), line, field: field.to_string(), what }
-    }
-}
-
-/// A table and where it stands.
-struct Table<'a> {
-    source: Source<'a>,
-    path: String,
-    at: usize,
-    table: &'a DeTable<'a>,
-}
-
-/// A value's place, for reading it.
-struct At<'a> {
-    source: Source<'a>,
-    field: String,
-}
-
-impl<'a> Table<'a> {
-    fn field(&self, key: &str) -> String {
-        if self.path.is_empty() { key.to_string() } else { format!("{}.{key}", self.path) }
-    }
-
-    fn only(&self, known: &[&str]) -> Result<(), Error> {
-        match self.table.iter().find(|(key, _)| !known.contains(&key.get_ref().as_ref())) {
-            None => Ok(()),
-            Some((key, _)) => {
-                let field = self.field(key.get_ref());
-                Err(self.source.error(key.span().start, &field, format!("unknown; known here: {}", known.join(", "))))
-            }
-        }
-    }
-
-    fn get(&self, key: &str) -> Option<&'a Spanned<DeValue<'a>>> {
-        self.table.iter().find(|(found, _)| found.get_ref().as_ref() == key).map(|(_, value)| value)
-    }
-
-    fn table(&self, key: &str) -> Result<Option<Table<'a>>, Error> {
-        let Some(value) = self.get(key) else { return Ok(None) };
-        let path = self.field(key);
-        match value.get_ref() {
-            DeValue::Table(table) => Ok(Some(Table { source: self.source, path, at: value.span().start, table })),
-            other => Err(self.source.error(value.span().start, &path, format!("{} is no table", shown(other)))),
-        }
-    }
-
-    fn need_table(&self, key: &str) -> Result<Table<'a>, Error> {
-        self.table(key)?.ok_or_else(|| self.missing(key))
-    }
-
-    fn missing(&self, key: &str) -> Error {
-        self.source.error(self.at, &self.field(key), "missing".to_string())
-    }
-
-    fn optional<T>(
-        &self,
-        key: &str,
-        read: impl Fn(&'a Spanned<DeValue<'a>>, &At<'a>) -> Result<T, Error>,
-    ) -> Result<Option<T>, Error> {
-        let at = At { source: self.source, field: self.field(key) };
-        self.get(key).map(|value| read(value, &at)).transpose()
-    }
-
-    fn need<T>(
-        &self,
-        key: &str,
-        read: impl Fn(&'a Spanned<DeValue<'a>>, &At<'a>) -> Result<T, Error>,
-    ) -> Result<T, Error> {
-        self.optional(key, read)?.ok_or_else(|| self.missing(key))
-    }
-
-    /// Complains at `key` if there is a flaw.
-    fn check(&self, key: &str, flaw: Option<String>) -> Result<(), Error> {
-        let at = self.get(key).map_or(self.at, |value| value.span().start);
-        flaw.map_or(Ok(()), |what| Err(self.source.error(at, &self.field(key), what)))
-    }
-
-    fn texts(&self) -> Result<Vec<(String, String)>, Error> {
-        Ok(self.table.iter().map(|(key, value)| (key.get_ref().to_string(), shown(value.get_ref()))).collect())
-    }
-}
-
-impl<'a> At<'a> {
-    fn error(&self, value: &Spanned<DeValue<'_>>, what: String) -> Error {
-        self.source.error(value.span().start, &self.field, what)
-    }
-
-    fn number(&self, value: &Spanned<DeValue<'_>>) -> Result<f64, Error> {
-        let text = shown(value.get_ref());
-        let number = match value.get_ref() {
-            DeValue::Float(_) | DeValue::Integer(_) => text.replace('_', "").parse::<f64>().ok(),
-            _ => None,
-        };
-        match number {
-            Some(number) if number.is_finite() => Ok(number),
-            Some(_) => Err(self.error(value, format!("{text} is not finite"))),
-            None => Err(self.error(value, format!("{text} is no number"))),
-        }
-    }
-
-    fn whole(&self, value: &Spanned<DeValue<'_>>, max: u32) -> Result<u32, Error> {
-        let whole = match value.get_ref() {
-            DeValue::Integer(integer) => i64::from_str_radix(&integer.as_str().replace('_', ""), integer.radix()).ok(),
-            _ => None,
-        };
-        whole
-            .and_then(|whole| u32::try_from(whole).ok())
-            .filter(|whole| *whole <= max)
-            .ok_or_else(|| self.error(value, format!("{} is no whole number in 0 ..= {max}", shown(value.get_ref()))))
-    }
-
-    fn estimate(&self, value: &Spanned<DeValue<'_>>) -> Result<Estimate, Error> {
-        match value.get_ref() {
-            DeValue::String(text) if text == "track" => Ok(Estimate::Track),
-            DeValue::String(text) if text == "fix" => Ok(Estimate::Fix),
-            DeValue::String(text) if text == "angles" => Ok(Estimate::Angles),
-            other => Err(self.error(value, format!("{} is none of \"track\", \"fix\" and \"angles\"", shown(other)))),
-        }
-    }
-
-    fn name(&self, value: &Spanned<DeValue<'_>>) -> Result<Name, Error> {
-        match value.get_ref() {
-            DeValue::String(text) if text == "A" => Ok(Name::A),
-            DeValue::String(text) if text == "B" => Ok(Name::B),
-            other => Err(self.error(value, format!("{} is neither \"A\" nor \"B\"", shown(other)))),
-        }
-    }
-
-    /// The key in a file beside this one.
-    fn key(&self, value: &Spanned<DeValue<'_>>) -> Result<Key, Error> {
-        let DeValue::String(name) = value.get_ref() else {
-            return Err(self.error(value, format!("{} is no file", shown(value.get_ref()))));
-        };
-        let folder = Path::new(self.source.file).parent().unwrap_or(Path::new(""));
-        key::open(&folder.join(name.as_ref())).map(Key).map_err(|error| self.error(value, error.to_string()))
-    }
-
-    fn send(&self, value: &Spanned<DeValue<'_>>) -> Result<Send, Error> {
-        match value.get_ref() {
-            DeValue::String(text) if text == "slotted" => Ok(Send::Slotted),
-            DeValue::String(text) if text == "jittered" => Ok(Send::Jittered),
-            DeValue::String(text) if text == "steady" => Ok(Send::Steady),
-            other => {
-                Err(self.error(value, format!("{} is none of \"slotted\", \"jittered\" and \"steady\"", shown(other))))
-            }
-        }
-    }
-
-    fn factory_source(&self, value: &Spanned<DeValue<'_>>) -> Result<FactorySource, Error> {
-        match value.get_ref() {
-            DeValue::String(text) if text == "file" => Ok(FactorySource::File),
-            DeValue::String(text) if text == "received" => Ok(FactorySource::Received),
-            other => Err(self.error(value, format!("{} is neither \"file\" nor \"received\"", shown(other)))),
-        }
-    }
-
-    fn array<const N: usize>(&self, value: &'a Spanned<DeValue<'a>>) -> Result<[&'a Spanned<DeValue<'a>>; N], Error> {
-        let DeValue::Array(array) = value.get_ref() else {
-            return Err(self.error(value, format!("{} is no list of {N}", shown(value.get_ref()))));
-        };
-        let items: Vec<_> = array.iter().collect();
-        let count = items.len();
-        items.try_into().map_err(|_| self.error(value, format!("has {count} entries, not {N}")))
-    }
-
-    fn vector(&self, value: &'a Spanned<DeValue<'a>>) -> Result<[f64; 3], Error> {
-        let [x, y, z] = self.array::<3>(value)?;
-        Ok([self.number(x)?, self.number(y)?, self.number(z)?])
-    }
-}
-
-/// The value as a person wrote it, or nearly.
-fn shown(value: &DeValue<'_>) -> String {
-    match value {
-        DeValue::String(text) => format!("{text:?}"),
-        DeValue::Integer(integer) => integer.as_str().to_string(),
-        DeValue::Float(float) => float.as_str().to_string(),
-        DeValue::Boolean(truth) => truth.to_string(),
-        DeValue::Datetime(date) => date.to_string(),
-        DeValue::Array(_) => "a list".to_string(),
-        DeValue::Table(_) => "a table".to_string(),
-    }
+/// The key in a file beside this one.
+fn key(value: &Spanned<DeValue<'_>>, at: &At<'_>) -> Result<Key, Error> {
+    let DeValue::String(name) = value.get_ref() else {
+        return Err(at.error(value, format!("{} is no file", shown(value.get_ref()))));
+    };
+    let folder = Path::new(at.source.file).parent().unwrap_or(Path::new(""));
+    key::open(&folder.join(name.as_ref())).map(Key).map_err(|error| at.error(value, error.to_string()))
 }

@@ -13,21 +13,15 @@ mod general;
 mod layout;
 #[path = "../src/fix/reciprocal.rs"]
 mod reciprocal;
+#[path = "../src/fix/solve.rs"]
+mod solve;
 #[path = "../src/fix/tan.rs"]
 mod tan;
 #[path = "../src/fix/walk.rs"]
 mod walk;
 
 pub use layout::*;
+pub use solve::solve;
 
 /// An ideal rotor angle: 2^20 units per half turn.
 pub struct Angle(pub i32);
-
-/// Finds the mote.
-pub fn solve(calib: &Calib, angles: &[Angle; 4]) -> Result<Solution, Reject> {
-    let raw = [angles[0].0, angles[1].0, angles[2].0, angles[3].0];
-    match calib {
-        Calib::Fast(fast) => fast::solve(fast, raw),
-        Calib::General(general) => general::solve(general, raw),
-    }
-}

@@ -12,12 +12,13 @@ mod fast;
 mod general;
 mod layout;
 mod reciprocal;
+mod solve;
 mod tan;
 mod walk;
 
 pub use crate::angle::Angle;
 pub use layout::{Calib, Fast, General, HALF, LEAST, Linear, Lines, Reject, Row, Scene, Solution, WEIGHTS, Weight};
-
+pub use solve::solve;
 pub use tan::tan;
 
 use crate::angle::Bearing;
@@ -140,19 +141,6 @@ pub fn newest(config: &Config, state: &mut State, now: Ticks, half_turn: HalfTur
             *count = count.wrapping_add(1);
             None
         }
-    }
-}
-
-/// Finds the mote from `angles` = azimuth and elevation of station A, azimuth and elevation of station B.
-///
-/// # Errors
-/// See [`Reject`].
-#[inline(always)]
-pub fn solve(calib: &Calib, angles: &[Angle; 4]) -> Result<Solution, Reject> {
-    let raw = [angles[0].0, angles[1].0, angles[2].0, angles[3].0];
-    match calib {
-        Calib::Fast(fast) => fast::solve(fast, raw),
-        Calib::General(general) => general::solve(general, raw),
     }
 }
 

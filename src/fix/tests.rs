@@ -10,27 +10,10 @@ use std::sync::LazyLock;
 #[path = "../../calib/quantise.rs"]
 mod quantise;
 
-use quantise::{Baked, Room, Station, bake};
+use quantise::{Baked, Dice, Room, Station, bake};
 
 /// Half of 2^20: a right angle in angle units.
 const RIGHT_ANGLE: f64 = 524_288.0;
-
-/// xorshift64*: seeded, so that every figure here repeats.
-struct Dice(u64);
-
-impl Dice {
-    fn unit(&mut self) -> f64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        (self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn gauss(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
-        radius * (core::f64::consts::TAU * self.unit()).cos()
-    }
-}
 
 fn rotation(station: &Station) -> Matrix3<f64> {
     Matrix3::from_fn(|i, j| station.rotation[i][j])

@@ -142,7 +142,7 @@ pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
     Ok(format!(
         "{provenance}/// The room, as baked from `{file}`.
 pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
-    sweep: lighthouse_mote::sweep::Config {{ lone: {lone}, ..lighthouse_mote::sweep::Config::DEFAULT }},
+    sweep: lighthouse_mote::sweep::Config {{ lone: {lone} }},
     ootx: lighthouse_mote::ootx::Config {{ ids: {ids:?}, ..lighthouse_mote::ootx::Config::DEFAULT }},
     angle: lighthouse_mote::angle::Config::new([{}, {}]).with_received({received:?}),
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},

@@ -6,14 +6,22 @@
 //!
 //! What can go wrong: every stage drops what it cannot use and counts it; the counts travel in each report.
 
+mod batch;
+mod classify;
+mod ears;
+
+pub use batch::Batch;
+pub use classify::{Classifier, Flashes, Seen, Sighting, Understood};
+pub use ears::Ears;
+
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
 
 use crate::edge::Edge;
-use crate::frame::{self, Angles, Health, Level, Losses, Measured, Rejects, Report};
+use crate::frame::{self, Health, Level, Losses, Rejects, Report};
 use crate::send::{self, When};
-use crate::sweep::{Closed, HalfTurn, Light, Station, Status, Sweep, Sync};
+use crate::sweep::{HalfTurn, Station};
 use crate::time::{Span, Ticks};
-use crate::{angle, fix, ootx, pulse, sweep, track};
+use crate::{angle, fix, ootx, sweep, track};
 
 /// Everything that is configured: the tolerances, the stations' factory terms, the room, the rate.
 // The tracker's room comes first: an offset into it costs this core three instructions.
@@ -52,167 +60,6 @@ pub enum Estimate {
     Angles,
 }
 
-/// What the solving half needs to hear of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Sighting {
-    /// What was seen.
-    pub seen: Seen,
-    /// The flashes of that half turn.
-    pub flashes: Flashes,
-    /// Pulses that were turned away so far, wrapping.
-    pub pulses_lost: u16,
-}
-
-/// A laser, the lack of one, or the end of the cycle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Seen {
-    /// A laser passed.
-    Sweep(Sweep),
-    /// A half turn without a laser; the cycle goes on.
-    Nothing {
-        /// When that was clear.
-        at: Ticks,
-        /// The half turn as measured last.
-        half_turn: HalfTurn,
-    },
-    /// The cycle was lost: every angle known so far is of an unknown age.
-    Lost,
-}
-
-/// The flashes of one half turn, and the bit that each carries.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Flashes(
-    /// Bits 0 and 1: A was seen, and its data bit; 2 and 3: the same of B.
-    u8,
-);
-
-impl Flashes {
-    #[inline]
-    fn with(self, sync: Sync) -> Self {
-        Self(self.0 | (1 | u8::from(sync.data) << 1) << (2 * sync.station as u32))
-    }
-
-    #[inline]
-    fn take(&mut self) -> Self {
-        core::mem::take(self)
-    }
-
-    /// The data bit of a station, if its flash was seen.
-    fn data(self, station: Station) -> Option<bool> {
-        let bits = self.0 >> (2 * station as u32);
-        (bits & 1 != 0).then_some(bits & 2 != 0)
-    }
-}
-
-/// What the first half knows of itself, for [`Solver::health`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Understood {
-    status: Status,
-    half_turn_q8: u32,
-    counts: sweep::Counts,
-    width_bias: [Option<i16>; 2],
-    edges_lost: u16,
-}
-
-/// The first half: edges to sightings.
-#[derive(Debug, Clone, Default)]
-pub struct Classifier {
-    pulse: pulse::State,
-    sweep: sweep::State,
-    flashes: Flashes,
-}
-
-impl Classifier {
-    /// Takes one edge.
-    #[inline]
-    pub fn step(&mut self, config: &Config, edge: Edge) -> Option<Sighting> {
-        let pulse = pulse::step(&mut self.pulse, edge)?;
-        self.pulse(config, pulse)
-    }
-
-    /// Takes one pulse, where a board's capture already pairs the edges.
-    #[inline]
-    pub fn pulse(&mut self, config: &Config, pulse: pulse::Pulse) -> Option<Sighting> {
-        let Self { sweep: sweeps, flashes, .. } = self;
-        sweep::step_then(&config.sweep, sweeps, pulse, |sweeps, light| match light {
-            Some(Light::Sweep(sweep)) => Some(sighting(sweeps, Seen::Sweep(sweep), flashes.take())),
-            Some(Light::Sync(sync)) => {
-                let before = *flashes;
-                *flashes = before.with(sync);
-                if !sweeps.has_closed() {
-                    return None;
-                }
-                // The slot that this flash ends had its own.
-                *flashes = Flashes::default().with(sync);
-                late(sweeps, pulse.start, before)
-            }
-            None if !sweeps.has_closed() => None,
-            None => late(sweeps, pulse.start, flashes.take()),
-            Some(Light::Lost) => lost(sweeps, flashes.take()),
-        })
-    }
-
-    /// Notices that no light comes; to be called at least once per quarter wrap of the counter, and as often as
-    /// reports shall go on in the dark. `now` is later than every edge.
-    pub fn expire(&mut self, config: &Config, now: Ticks) -> Option<Sighting> {
-        if sweep::expire(&config.sweep, &mut self.sweep, now).is_some() {
-            return lost(&self.sweep, self.flashes.take());
-        }
-        late(&mut self.sweep, now, self.flashes.take())
-    }
-
-    /// How often each kind of light was understood.
-    #[must_use]
-    pub fn counts(&self) -> sweep::Counts {
-        self.sweep.counts()
-    }
-
-    /// The measured half turn, while the cycle is locked.
-    #[must_use]
-    pub fn half_turn(&self) -> Option<HalfTurn> {
-        self.sweep.half_turn()
-    }
-
-    /// What is known by `now`, which is later than every pulse.
-    #[must_use]
-    #[inline(never)]
-    pub fn understood(&self, now: Ticks) -> Understood {
-        Understood {
-            status: self.sweep.status(now),
-            half_turn_q8: self.half_turn().map_or(0, HalfTurn::ticks_q8),
-            counts: self.sweep.counts(),
-            width_bias: [self.sweep.width_bias(Station::A), self.sweep.width_bias(Station::B)],
-            edges_lost: self.pulse.lost(),
-        }
-    }
-}
-
-#[inline(always)]
-fn sighting(sweeps: &sweep::State, seen: Seen, flashes: Flashes) -> Sighting {
-    Sighting { seen, flashes, pulses_lost: sweeps.counts().turned_away }
-}
-
-/// What the slot that has just ended has left to say.
-#[cold]
-#[inline(never)]
-fn late(sweeps: &mut sweep::State, at: Ticks, flashes: Flashes) -> Option<Sighting> {
-    let seen = match sweeps.closed()? {
-        Closed::Sweep(sweep) => Seen::Sweep(sweep),
-        Closed::Dark(half_turn) => Seen::Nothing { at, half_turn },
-    };
-    Some(sighting(sweeps, seen, flashes))
-}
-
-#[cold]
-#[inline(never)]
-fn lost(sweeps: &sweep::State, flashes: Flashes) -> Option<Sighting> {
-    Some(sighting(sweeps, Seen::Lost, flashes))
-}
-
 /// The second half: sightings to reports.
 #[derive(Debug, Clone, Default)]
 pub struct Solver {
@@ -225,32 +72,6 @@ pub struct Solver {
     reported: Option<Ticks>,
     ears: Ears,
     send: send::State,
-}
-
-/// What the stations say about themselves, out of the bits of their flashes.
-#[derive(Debug, Clone, Default)]
-pub struct Ears {
-    ears: [Ear; 2],
-    /// Half turns to go by before the stations are listened to again.
-    rest: u16,
-}
-
-/// What is heard of one station.
-#[derive(Debug, Clone, Default)]
-struct Ear {
-    ootx: ootx::State,
-    /// The slot of its latest flash.
-    at: Option<Ticks>,
-    /// Who it said it is, since the cycle was found.
-    known: Option<Known>,
-}
-
-/// A station, as it said itself.
-#[derive(Debug, Clone, Copy)]
-struct Known {
-    id: u32,
-    mode: u8,
-    faults: u8,
 }
 
 /// Fraction bits of the tracker's time, 256 to a half turn, less than those of a share.
@@ -473,140 +294,6 @@ impl Solver {
     }
 }
 
-impl Understood {
-    /// Whether the cycle is known, and so reports are to be expected.
-    #[must_use]
-    pub const fn is_locked(&self) -> bool {
-        matches!(self.status, Status::Locked)
-    }
-}
-
-impl Ears {
-    /// Takes one sighting; `told` is given every block that it completes. [`Solver::step`] does the same within.
-    pub fn hear(&mut self, config: &ootx::Config, sighting: &Sighting, told: impl FnMut(Station, &ootx::Block)) {
-        if sighting.seen == Seen::Lost {
-            self.forget();
-        } else if !self.rests() {
-            self.listen(config, sighting.seen, sighting.flashes, told);
-        }
-    }
-
-    /// Whether nobody listens in this half turn, one more of which has gone by.
-    #[inline]
-    fn rests(&mut self) -> bool {
-        let rests = self.rest > 0;
-        self.rest = self.rest.saturating_sub(1);
-        rests
-    }
-
-    /// Hands the bits of the flashes to the stations' frames, and takes note of who says what.
-    #[inline]
-    fn listen(
-        &mut self,
-        config: &ootx::Config,
-        seen: Seen,
-        flashes: Flashes,
-        mut told: impl FnMut(Station, &ootx::Block),
-    ) {
-        // About when the slot began: where there was no sweep, its end is known, or a little later.
-        let (slot, half_turn) = match seen {
-            Seen::Sweep(sweep) => (sweep.at.before(sweep.since_sync), sweep.half_turn),
-            Seen::Nothing { at, half_turn } => (at.before(half_turn.span()), half_turn),
-            Seen::Lost => return,
-        };
-        for (station, ear) in [Station::A, Station::B].into_iter().zip(&mut self.ears) {
-            let Some(bit) = flashes.data(station) else { continue };
-            if let Some(block) = ear.hear(config, bit, slot, half_turn) {
-                told(station, &block);
-            }
-        }
-        if self.ears.iter().all(|ear| ear.ootx.is_resting()) {
-            self.rest = config.rest_bits;
-            self.ears.iter_mut().for_each(|ear| {
-                ear.ootx.restart();
-                ear.at = None;
-            });
-        }
-    }
-
-    /// Whether a station said that it is not who the room's file expects.
-    fn hear_a_stranger(&self, config: &ootx::Config) -> bool {
-        let is_stranger =
-            |(station, ear): (Station, &Ear)| ear.known.is_some_and(|known| config.is_stranger(station, known.id));
-        [Station::A, Station::B].into_iter().zip(&self.ears).any(is_stranger)
-    }
-
-    /// Who flashes may be others, from now on.
-    fn forget(&mut self) {
-        self.rest = 0;
-        self.ears.iter_mut().for_each(Ear::forget);
-    }
-}
-
-impl Ear {
-    /// Takes the bit of the flash in the slot that began at `at`; gives the block that it completes.
-    fn hear(&mut self, config: &ootx::Config, bit: bool, at: Ticks, half_turn: HalfTurn) -> Option<ootx::Block> {
-        // Good to a twentieth of a half turn nearly always, so rounding tells how many slots went by; the CRC, the rest.
-        let half_turns = half_turn.span().0;
-        let since = self.at.replace(at).map(|before| at.since(before));
-        if since.is_none_or(|since| since.0 > half_turns + half_turns / 2) {
-            ootx::gap(&mut self.ootx, missed(since, half_turn));
-        }
-        let Some(ootx::Outcome::Good(block)) = ootx::step(config, &mut self.ootx, bit) else { return None };
-        self.known = Some(Known { id: block.id(), mode: block.mode(), faults: block.faults() });
-        Some(block)
-    }
-
-    fn forget(&mut self) {
-        self.ootx.restart();
-        self.at = None;
-        self.known = None;
-    }
-}
-
-/// Flashes missed between two that were seen, or ever since; 255 for more.
-#[cold]
-#[inline(never)]
-fn missed(since: Option<Span>, half_turn: HalfTurn) -> u8 {
-    let slots = since.map_or(u32::MAX, |since| {
-        half_turn.share(since).saturating_add(1 << (sweep::HALF_TURN_BITS - 1)) >> sweep::HALF_TURN_BITS
-    });
-    u8::try_from(slots.saturating_sub(1)).unwrap_or(u8::MAX)
-}
-
-/// Sweeps as measured, gathered until they fill a frame: [`Estimate::Angles`].
-#[derive(Debug, Clone, Default)]
-pub struct Batch {
-    angles: Angles,
-}
-
-impl Batch {
-    /// The longest that a sweep waits, in half turns: 0.25 s.
-    const PATIENCE: u32 = 30;
-
-    /// Takes one sighting; gives the sweeps when they are a frame full, or one of them has waited long enough.
-    pub fn step(&mut self, sighting: &Sighting) -> Option<Angles> {
-        let (at, half_turn) = match &sighting.seen {
-            Seen::Sweep(sweep) => {
-                // Handed over below as soon as it is full, so there is room.
-                let _ = self.angles.sweeps.push(Measured::from(sweep));
-                (sweep.at, sweep.half_turn)
-            }
-            Seen::Nothing { at, half_turn } => (*at, *half_turn),
-            // What was measured stays true.
-            Seen::Lost => return self.hand_over(),
-        };
-        self.angles.half_turn_q8 = half_turn.ticks_q8();
-        let oldest = Ticks(self.angles.sweeps.first()?.time);
-        let patience = Span(half_turn.span().0.saturating_mul(Self::PATIENCE));
-        if self.angles.sweeps.is_full() || at.since(oldest) > patience { self.hand_over() } else { None }
-    }
-
-    fn hand_over(&mut self) -> Option<Angles> {
-        if self.angles.sweeps.is_empty() { None } else { Some(core::mem::take(&mut self.angles)) }
-    }
-}
-
 /// 2^-20 half turns as 1/32 width steps, of which there are 25,600 in a half turn: 2^20 / 25,600 is 1024 / 25.
 fn steps_q5(bias: i16) -> i8 {
     ((i32::from(bias) * 25) >> 10).clamp(i32::from(i8::MIN), i32::from(i8::MAX)) as i8
@@ -649,7 +336,7 @@ impl Chain {
 
     /// Notices that no light comes; to be called at least once per quarter wrap of the counter.
     pub fn expire(&mut self, config: &Config, now: Ticks) -> Option<Report> {
-        let sighting = self.classifier.expire(config, now)?;
+        let sighting = self.classifier.expire(now)?;
         let report = self.solver.step(config, sighting);
         self.complete(report)
     }

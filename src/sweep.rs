@@ -19,7 +19,7 @@
 //! No clock rate is assumed anywhere. The search looks for two pairs of flashes whose distance is 18.3 to 24.2 times
 //! their inner gap; that distance is the half turn, and every later window is a share of it.
 //!
-//! What can go wrong: flashes are lost (the cycle goes on by dead reckoning, up to [`Config::coast_half_turns`]),
+//! What can go wrong: flashes are lost (the cycle goes on by dead reckoning, up to [`COAST_HALF_TURNS`]),
 //! something shines between (it fits no window and is counted; of several like
 //! a sweep the longest is taken, when the slot ends), the light goes (the lock is given up and says so).
 
@@ -29,7 +29,6 @@ mod search;
 mod width;
 
 pub use half_turn::{HALF_TURN_BITS, HalfTurn};
-pub use width::nearest_width;
 
 use lock::{Lock, Phase};
 use search::Search;
@@ -130,41 +129,19 @@ pub enum Status {
     V2 = 6,
 }
 
-/// The tolerances, all as shares of the half turn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// How many half turns the cycle is carried on without any flash: 0.4 s.
+pub const COAST_HALF_TURNS: u32 = 48;
+
+/// What the light alone does not tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Config {
-    /// How far from its predicted place a flash may rise: half turn >> this. 7 is 65 us.
-    pub window_shift: u32,
-    /// How many half turns the cycle is carried on without any flash. 48 is 0.4 s.
-    pub coast_half_turns: u16,
-    /// The shortest sweep pulse, in units of 1/8192 half turn (1.02 us). Real ones last 1.5 to 20 us.
-    pub shortest_sweep: u32,
-    /// Which moment of a laser's pulse is the sweep.
-    pub stamp: Stamp,
-    /// Who flashes, if only one of a pair of stations is seen from the start. The light alone does not tell.
+    /// Who flashes, if only one of a pair of stations is seen from the start.
     pub lone: Option<Station>,
 }
 
-/// The moment of a laser's pulse that counts as the sweep.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Stamp {
-    /// Half way between both edges: where the middle of the laser line was, whatever its width.
-    #[default]
-    Middle,
-    /// The rise, for receivers with one good edge.
-    Rise,
-}
-
 impl Config {
-    /// The values named in the field documentation.
-    pub const DEFAULT: Self =
-        Self { window_shift: 7, coast_half_turns: 48, shortest_sweep: 1, stamp: Stamp::Middle, lone: None };
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
+    /// Both are seen.
+    pub const DEFAULT: Self = Self { lone: None };
 }
 
 /// How often each thing was understood or turned away, since start-up, wrapping.
@@ -177,7 +154,7 @@ pub struct Counts {
     pub sweeps: [[u16; 2]; 2],
     /// Pulses that fit no window, and all pulses while there is no cycle.
     pub strays: u16,
-    /// Pulses where a sweep could be, shorter than [`Config::shortest_sweep`].
+    /// Pulses where a sweep could be, shorter than 1 us.
     pub too_short: u16,
     /// The same, longer than 41.7 us.
     pub too_long: u16,
@@ -310,8 +287,8 @@ pub(crate) fn step_then<T>(
     let lock = &mut state.lock;
     let mut is_over = false;
     if lock.phase != Phase::Dark {
-        if lock.follow(config, pulse.start) {
-            match lock.flash_at(config, pulse.start) {
+        if lock.follow(pulse.start) {
+            match lock.flash_at(pulse.start) {
                 Some((station, rise)) => {
                     if let Some(data) = lock.flash(config, &mut state.rejects, station, rise, pulse.width.0) {
                         let sync = lock.sync(station, data);
@@ -319,7 +296,7 @@ pub(crate) fn step_then<T>(
                     }
                 }
                 None => {
-                    if let Some(sweep) = lock.laser(config, &mut state.rejects, pulse) {
+                    if let Some(sweep) = lock.laser(&mut state.rejects, pulse) {
                         return then(state, Some(Light::Sweep(sweep)));
                     }
                 }
@@ -339,12 +316,12 @@ pub(crate) fn step_then<T>(
 ///
 /// To be called at least once per quarter wrap of the counter: a darkness of a whole wrap must not look short.
 #[inline]
-pub fn expire(config: &Config, state: &mut State, now: Ticks) -> Option<Light> {
+pub fn expire(state: &mut State, now: Ticks) -> Option<Light> {
     if state.lock.phase == Phase::Dark {
         state.search.expire(now);
         return None;
     }
-    if state.lock.follow(config, now) {
+    if state.lock.follow(now) {
         return None;
     }
     state.give_up().then_some(Light::Lost)

@@ -19,10 +19,8 @@ mod room {
     include!(concat!(env!("OUT_DIR"), "/calib.rs"));
 }
 
-/// x 0.5, y 1.0, z 0.5 m in Q16, and where in its half turn each rotor then sweeps: the ideal angles -70542, 21162,
-/// 102300, -14620 (2^-20 half turns), less the default room's phases, from 200,000 straight ahead in 1/48 us.
+/// Where the mote of [`Cycle::IN_THE_ROOM`] is, Q16 m.
 const TRUTH: [i32; 3] = [32_768, 65_536, 32_768];
-const SWEEP_AFTER: [[u32; 2]; 2] = [[167_155, 200_996], [237_081, 191_772]];
 /// 1 mm in Q16 m: a tick of the slowest clock here is 0.1 us, 38 urad, which the baseline makes 0.3 mm in depth.
 const NEAR: u32 = 66;
 
@@ -61,7 +59,7 @@ mod tests {
         // 10.82 MHz and ten per cent to either side, the counter wrapping on the way.
         for clock in [9_738_000, 10_820_000, 11_902_000] {
             for estimate in [Estimate::Track, Estimate::Fix] {
-                let cycle = Cycle { clock, start: u32::MAX - 900_000, sweep_after: SWEEP_AFTER };
+                let cycle = Cycle { clock, start: u32::MAX - 900_000, ..Cycle::IN_THE_ROOM };
                 let (count, last) = reports(&config(estimate, 1), &cycle, 60);
                 let Some(report) = last else { panic!("no report at {} Hz", clock) };
                 assert!(count > 40, "{} reports", count);
@@ -73,16 +71,16 @@ mod tests {
 
     #[test]
     fn reports_come_at_the_rate_asked_for() {
-        let cycle = Cycle { sweep_after: SWEEP_AFTER, ..Cycle::TYPICAL };
-        let (every, _) = reports(&config(Estimate::Track, 1), &cycle, 120);
-        let (fourth, _) = reports(&config(Estimate::Track, 4), &cycle, 120);
+        let (every, _) = reports(&config(Estimate::Track, 1), &Cycle::IN_THE_ROOM, 120);
+        let (fourth, _) = reports(&config(Estimate::Track, 4), &Cycle::IN_THE_ROOM, 120);
         assert!(every > 100 && every.abs_diff(4 * fourth) <= 4, "{} and {}", every, fourth);
     }
 
     #[test]
     fn a_report_survives_the_air() {
-        let cycle = Cycle { sweep_after: SWEEP_AFTER, ..Cycle::TYPICAL };
-        let (_, Some(report)) = reports(&config(Estimate::Track, 1), &cycle, 30) else { panic!("no report") };
+        let (_, Some(report)) = reports(&config(Estimate::Track, 1), &Cycle::IN_THE_ROOM, 30) else {
+            panic!("no report")
+        };
         let header = Header { pan: room::PAN, mote: room::MOTE, sequence: 7 };
         assert!(parse(&emit(header, &report)) == Ok((header, Message::Fix(report))));
     }

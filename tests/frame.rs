@@ -132,15 +132,6 @@ mod tests {
     }
 
     #[test]
-    fn every_single_flipped_bit_is_found() {
-        for bit in 0..LEN * 8 {
-            let mut bytes = emit(HEADER, &report());
-            bytes[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(parse(&bytes), Err(Reject::Fcs));
-        }
-    }
-
-    #[test]
     fn health_comes_back_as_it_left() {
         for health in [health(), Health::default()] {
             assert_eq!(parse(&emit_health(HEADER, &health)), Ok((HEADER, Message::Health(health))));
@@ -228,16 +219,13 @@ mod tests {
     fn every_single_flipped_bit_is_found_in_every_kind() {
         let mut longest = [0; ANGLES_LEN];
         let _ = emit_angles(HEADER, &angles(ANGLES), &mut longest);
-        let mut whole = emit_health(HEADER, &health());
-        for bit in 0..HEALTH_LEN * 8 {
-            whole[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(parse(&whole), Err(Reject::Fcs));
-            whole[bit / 8] ^= 1 << (bit % 8);
-        }
-        for bit in 0..ANGLES_LEN * 8 {
-            longest[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(parse(&longest), Err(Reject::Fcs));
-            longest[bit / 8] ^= 1 << (bit % 8);
+        let (mut fix, mut health) = (emit(HEADER, &report()), emit_health(HEADER, &health()));
+        for bytes in [&mut fix[..], &mut health, &mut longest] {
+            for bit in 0..bytes.len() * 8 {
+                bytes[bit / 8] ^= 1 << (bit % 8);
+                assert_eq!(parse(bytes), Err(Reject::Fcs));
+                bytes[bit / 8] ^= 1 << (bit % 8);
+            }
         }
     }
 

@@ -213,19 +213,18 @@ mod tests {
     }
 
     #[test]
-    fn a_half_float_is_held_exactly_in_q24() {
-        for (half, q24) in [
-            (0x0000, Some(0)),
-            (0x3c00, Some(1 << 24)),
-            (0xbc00, Some(-(1 << 24))),
-            (0x0001, Some(1)),
-            (0x0400, Some(1 << 10)),
-            (0x57ff, Some(2_047 << 20)),
-            (0x5800, None),
+    fn a_half_float_is_a_whole_number_of_its_power_of_two() {
+        for (half, parts) in [
+            (0x0000, Some((0, 0))),
+            (0x3c00, Some((1 << 10, 14))),
+            (0xbc00, Some((-(1 << 10), 14))),
+            (0x0001, Some((1, 0))),
+            (0x0400, Some((1 << 10, 0))),
+            (0x7bff, Some((2_047, 29))),
             (0x7c00, None),
             (0xfe00, None),
         ] {
-            assert_eq!(Half(half).q24(), q24, "{half:#x}");
+            assert_eq!(Half(half).parts(), parts, "{half:#x}");
         }
     }
 

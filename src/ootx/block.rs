@@ -156,15 +156,6 @@ impl Half {
         Some((if self.0 >> 15 == 0 { magnitude } else { -magnitude }, shift))
     }
 
-    /// The value in Q24, exactly; `None` from 128 on.
-    #[must_use]
-    pub const fn q24(self) -> Option<i32> {
-        match self.parts() {
-            Some((mantissa, shift)) if shift <= 20 => Some(mantissa << shift),
-            _ => None,
-        }
-    }
-
     /// The value, exactly.
     #[must_use]
     pub fn to_f64(self) -> f64 {

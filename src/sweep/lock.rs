@@ -14,12 +14,18 @@
 //! What can go wrong: a flash is missing (its place is predicted), a pulse fits no window (it is no light of ours), the
 //! flashes contradict the place in the cycle (after a few, the place is forgotten and found again).
 
+mod laser;
+mod place;
+
+use laser::{Rest, Rotor};
+
 use super::search::{Found, Search};
-use super::width::{SWEEP_STEPS, Units, WIDTH_BASE_STEPS};
-use super::{Axis, Cause, Closed, Config, HalfTurn, Rejects, Stamp, Station, Sweep, Sync};
-use crate::pulse::Pulse;
+use super::width::{Units, WIDTH_BASE_STEPS};
+use super::{Axis, COAST_HALF_TURNS, Cause, Config, HalfTurn, Rejects, Station, Sync};
 use crate::time::{Span, Ticks};
 
+/// How far from its predicted place a flash may rise: half turn >> this, 65 us.
+const WINDOW_SHIFT: u32 = 7;
 /// log2 of the half turns between two measurements of the half turn: from 1 up to this, one more each time. A longer
 /// base costs less and says more.
 const BASE_LOG2: u32 = 3;
@@ -42,18 +48,10 @@ const SURE_SLOTS: u32 = 4;
 const CONTRADICTION: u32 = 3;
 /// At this much doubt the place is forgotten: no single pulse, nor any four, get there.
 const DOUBT: u32 = 16;
-/// By how many skips one place in the cycle must lead the next likely before it is believed: two of each rotor, and two
-/// more for each that contradicts. Four slots in a row have as many; lost flashes only make it take longer.
-const LEAD: i32 = 4;
-/// Slots with one flash each and without any skip, until the station is believed to be the only one. Data bits that
-/// look like that in a pair of stations must repeat 0011 all the while.
-const SINGLE: u32 = 12;
 /// Slots that two flash trains may take to make sense.
 const PATIENCE: u32 = 64;
 /// The bias is learnt from one flash per cycle, 1/2^3 of it each time.
 const BIAS_SHIFT: u32 = 3;
-/// A sweep this near to where its rotor's last one was need not be compared: half turn >> this, 2.8 degrees.
-const NEAR_SHIFT: u32 = 6;
 
 /// How much is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Default)]
@@ -71,15 +69,6 @@ pub(super) enum Phase {
     Placed,
     /// All.
     Locked,
-}
-
-/// What the slot that ended last has left to be asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-enum Rest {
-    #[default]
-    Nothing,
-    Dark,
-    Sweep,
 }
 
 /// One station's flashes.
@@ -100,20 +89,6 @@ struct Train {
     off: [i32; 2],
     /// Flashes understood.
     syncs: u32,
-}
-
-/// The sweeps of one slot of the cycle, which are those of one rotor.
-#[derive(Debug, Clone, Copy, Default)]
-#[repr(C)]
-struct Rotor {
-    /// Where the last one was, after its flash; 0 where that is not known.
-    after: u32,
-    /// Its width.
-    width: u32,
-    /// 1 where the last cycle had none.
-    missed: u32,
-    /// Sweeps understood.
-    sweeps: u32,
 }
 
 /// The cycle, followed by dead reckoning from flash to flash.
@@ -254,16 +229,16 @@ impl Lock {
 
     /// Moves on to the slot that `now` lies in; false when the light has been gone too long.
     #[inline]
-    pub(super) fn follow(&mut self, config: &Config, now: Ticks) -> bool {
+    pub(super) fn follow(&mut self, now: Ticks) -> bool {
         loop {
             let half_turn = self.units.half_turn;
-            let window = half_turn >> config.window_shift;
+            let window = half_turn >> WINDOW_SHIFT;
             let into = now.offset_from(self.trains[Station::A as usize].next);
             // A pulse may start a little before the slot it belongs to; far before means the counter went half round.
             if into < (half_turn - window) as i32 {
                 return into >= -(2 * window as i32);
             }
-            if !self.advance(config) {
+            if !self.advance() {
                 return false;
             }
         }
@@ -271,7 +246,7 @@ impl Lock {
 
     /// Ends the slot; false when the light has been gone too long.
     #[inline(never)]
-    fn advance(&mut self, config: &Config) -> bool {
+    fn advance(&mut self) -> bool {
         self.rest = Rest::Nothing;
         if self.chosen == 0 && self.is_placed() {
             self.close_unchosen();
@@ -279,7 +254,7 @@ impl Lock {
         self.chosen = 0;
         if self.trains[0].seen & self.trains[1].seen != 0 && self.near != 0 {
             self.dark_slots = 0;
-        } else if !self.advance_oddly(config) {
+        } else if !self.advance_oddly() {
             return false;
         }
         if self.unmeasured == 0 {
@@ -298,17 +273,17 @@ impl Lock {
     /// The same where a flash is missing or the lock is not sure yet.
     #[cold]
     #[inline(never)]
-    fn advance_oddly(&mut self, config: &Config) -> bool {
+    fn advance_oddly(&mut self) -> bool {
         let half_turn = self.units.half_turn;
         let seen = self.trains.map(|train| train.seen);
         if seen == [0; 2] {
             self.dark_slots += 1;
-            if self.dark_slots > u32::from(config.coast_half_turns) {
+            if self.dark_slots > COAST_HALF_TURNS {
                 return false;
             }
             if self.dark_slots > SURE_SLOTS {
                 let wider = self.tolerance + (half_turn >> WIDER_SHIFT);
-                self.tolerance = wider.min(half_turn >> config.window_shift);
+                self.tolerance = wider.min(half_turn >> WINDOW_SHIFT);
             }
         } else {
             self.dark_slots = 0;
@@ -379,8 +354,8 @@ impl Lock {
 
     /// The flash that a pulse is, of the slot that [`Lock::follow`] has found: whose, and how long after it should.
     #[inline]
-    pub(super) fn flash_at(&self, config: &Config, start: Ticks) -> Option<(Station, i32)> {
-        let window = self.units.half_turn >> config.window_shift;
+    pub(super) fn flash_at(&self, start: Ticks) -> Option<(Station, i32)> {
+        let window = self.units.half_turn >> WINDOW_SHIFT;
         let is_near = |rise: i32| rise.wrapping_add_unsigned(window) as u32 <= 2 * window;
         let rise = start.offset_from(self.trains[Station::A as usize].next);
         if is_near(rise) {
@@ -550,289 +525,6 @@ impl Lock {
     fn is_placed(&self) -> bool {
         matches!(self.phase, Phase::Placed | Phase::Locked)
     }
-
-    /// The place in the cycle is wrong: back to the pattern.
-    #[cold]
-    #[inline(never)]
-    fn forget_place(&mut self) {
-        self.phase = if self.first_slot == 0 { Phase::Pair } else { Phase::Train };
-        (self.near, self.first_slot, self.slots, self.votes, self.doubt) = (0, 0, 0, [0; 2], 0);
-        (self.narrowest, self.widest, self.ever_skipped) = ([u32::MAX; 2], [0; 2], false);
-        (self.held, self.chosen, self.rest) = (0, 0, Rest::Nothing);
-        for rotor in &mut self.rotors {
-            rotor.after = 0;
-        }
-    }
-
-    /// A flash while the place in the cycle is not known.
-    #[inline(never)]
-    fn learn(&mut self, config: &Config, counts: &mut Rejects, station: Station, rise: i32, width: u32) {
-        let train = &mut self.trains[station as usize];
-        if !self.units.is_sync(Span(width)) {
-            counts.turn_away(Cause::Misfit);
-            return;
-        }
-        train.seen = 1;
-        train.noise += rise.unsigned_abs();
-        train.next = Ticks(train.next.0.wrapping_add_signed(rise));
-        self.moved = rise;
-        if self.phase == Phase::Pair {
-            self.widths[station as usize] = width;
-            // B comes second.
-            if self.trains[0].seen & self.trains[1].seen != 0 {
-                self.compare(self.widths);
-            }
-        } else {
-            self.compare_turns(width);
-            if self.phase == Phase::Nameless
-                && let Some(station) = config.lone
-            {
-                self.name(station);
-            }
-        }
-    }
-
-    /// Holds the two flashes of a slot against each other: only one of them skips. Alike, they say nothing.
-    #[inline(never)]
-    fn compare(&mut self, [a, b]: [u32; 2]) {
-        if a.abs_diff(b) > self.units.step as u32 / 2 {
-            self.note_skip(a > b);
-        }
-    }
-
-    /// Holds the flashes of a rotor against each other: it skips every second turn, or it is alone and never does.
-    fn compare_turns(&mut self, width: u32) {
-        let step = self.units.step as u32;
-        let parity = (self.slot & 1) as usize;
-        let earlier = core::mem::replace(&mut self.widths[parity], width);
-        self.narrowest[parity] = self.narrowest[parity].min(width);
-        self.widest[parity] = self.widest[parity].max(width);
-        self.slots += 1;
-        if width.abs_diff(earlier) >= 3 * step {
-            self.ever_skipped = true;
-            self.note_skip(width > earlier);
-            return;
-        }
-        if self.ever_skipped || self.slots < SINGLE {
-            return;
-        }
-        // Data bits are two steps, the axis is one: only from the narrowest azimuth to the widest elevation is it three.
-        for azimuth in 0..2 {
-            if self.widest[1 - azimuth] > self.narrowest[azimuth] + 2 * step {
-                self.first_slot = 2;
-                self.lock(2 + u32::from(parity != azimuth));
-            }
-        }
-    }
-
-    /// Takes one more skip of A, or of a lone train: it skips in the slots 0 and 1 and sweeps in 2 and 3, whichever those
-    /// are.
-    #[inline(never)]
-    fn note_skip(&mut self, skip: bool) {
-        let [here, next] = &mut self.votes;
-        let slot = self.slot as i32 + if skip { 0 } else { 2 };
-        *here += 1 - (slot & 2);
-        *next += 1 - ((slot + 1) & 2);
-        // The two other places say the contrary of these.
-        let (mut here, mut next) = (*here, *next);
-        for slot in self.slot..self.slot + 4 {
-            if here - next.abs() >= LEAD {
-                self.votes = [0; 2];
-                if self.phase == Phase::Pair {
-                    self.lock(slot & 3);
-                } else {
-                    self.set_slot(slot & 3);
-                    self.phase = Phase::Nameless;
-                }
-                return;
-            }
-            (here, next) = (next, -here);
-        }
-    }
-
-    fn set_slot(&mut self, slot: u32) {
-        if (slot ^ self.slot) & 1 != 0 {
-            self.widths.swap(0, 1);
-        }
-        self.slot = slot;
-    }
-
-    #[inline(never)]
-    fn lock(&mut self, slot: u32) {
-        self.set_slot(slot);
-        self.phase = if self.base_log2 == 1 { Phase::Placed } else { Phase::Locked };
-        for train in &mut self.trains {
-            train.noise = 0;
-        }
-        self.tolerance = self.units.half_turn >> FRESH_SHIFT;
-        self.near = 0;
-    }
-
-    /// Says whose flashes the lone train is. The other station may be seen later.
-    pub(super) fn name(&mut self, station: Station) {
-        if self.phase != Phase::Nameless {
-            return;
-        }
-        // A cable-synced pair's gap is a twentieth, 0.05; this is 0.0488, near enough for every window.
-        let half_turn = self.units.half_turn;
-        let gap = Span((half_turn >> 5) + (half_turn >> 6) + (half_turn >> 9));
-        let [a, b] = &mut self.trains;
-        *b = Train { bias_q3: b.bias_q3, syncs: b.syncs, seen: 0, ..*a };
-        match station {
-            Station::A => (b.next, b.later) = (a.next.after(gap), a.later.after(gap)),
-            Station::B => {
-                (a.next, a.later) = (a.next.before(gap), a.later.before(gap));
-                (a.seen, b.seen) = (0, a.seen);
-            }
-        }
-        self.restart();
-        // B skips where A sweeps.
-        self.lock(if station == Station::A { self.slot } else { self.slot ^ 2 });
-    }
-
-    /// A pulse between the flashes.
-    #[inline]
-    pub(super) fn laser(&mut self, config: &Config, counts: &mut Rejects, pulse: Pulse) -> Option<Sweep> {
-        let width = pulse.width.0;
-        let (station, axis) = turn(self.slot);
-        let at = match config.stamp {
-            Stamp::Middle => pulse.start.after(Span(width / 2)),
-            Stamp::Rise => pulse.start,
-        };
-        let after = at.since(self.trains[station as usize].next).0;
-        self.is_sweep(config, counts, at, after, width).then_some(Sweep {
-            station,
-            axis,
-            at,
-            since_sync: Span(after),
-            half_turn: self.half_turn,
-        })
-    }
-
-    /// Whether that is where this slot's sweep is expected; if so it is taken.
-    #[inline]
-    fn is_sweep(&mut self, config: &Config, counts: &mut Rejects, at: Ticks, after: u32, width: u32) -> bool {
-        let Units { half_turn, step, .. } = self.units;
-        let cause = if self.phase != Phase::Locked {
-            Cause::Stray
-        } else if width > SWEEP_STEPS * step as u32 {
-            Cause::Long
-        } else if width < (half_turn * config.shortest_sweep) >> 13 {
-            Cause::Short
-        } else if after.wrapping_sub((half_turn >> 5) * 5) > (half_turn >> 5) * 22 {
-            // The rotor lights 30 to 150 degrees. Two degrees more to either side leave room for its factory phase: the
-            // angle stage knows that and draws the exact line.
-            Cause::Stray
-        } else {
-            if self.chosen | self.held != 0 && !self.is_better(counts, at, after, width) {
-                return false;
-            }
-            let rotor = &mut self.rotors[self.slot as usize & 3];
-            let far = after.abs_diff(rotor.after);
-            if far > half_turn >> NEAR_SHIFT {
-                self.hold(counts, at, after, width);
-                return false;
-            }
-            if 2 * width < rotor.width {
-                self.hold(counts, at, after, width);
-                return false;
-            }
-            rotor.choose(after, width);
-            rotor.sweeps += 1;
-            self.chosen = width;
-            if self.held != 0 {
-                // It waited in vain, and must not wait in the next slot.
-                self.held = 0;
-                counts.turn_away(Cause::Second);
-            }
-            // Nobody asked for what the slot before has left; now it would come too late.
-            self.rest = Rest::Nothing;
-            return true;
-        };
-        counts.turn_away(cause);
-        false
-    }
-
-    /// Whether a pulse like a sweep may be it where there was one already.
-    #[cold]
-    #[inline(never)]
-    fn is_better(&mut self, counts: &mut Rejects, at: Ticks, after: u32, width: u32) -> bool {
-        if self.chosen == 0 {
-            if self.held <= width {
-                return true;
-            }
-            self.hold(counts, at, after, width);
-            return false;
-        }
-        // The wrong one was given away: compare the next time.
-        if width > self.chosen + self.chosen / 2 {
-            self.rotors[self.slot as usize & 3].after = 0;
-        }
-        counts.turn_away(Cause::Second);
-        false
-    }
-
-    /// Keeps the better of two until the slot ends: the clearly longer one, else the one nearer to the expected.
-    #[cold]
-    #[inline(never)]
-    fn hold(&mut self, counts: &mut Rejects, at: Ticks, after: u32, width: u32) {
-        if self.held != 0 {
-            counts.turn_away(Cause::Second);
-            let expected = self.rotors[self.slot as usize & 3].after;
-            let is_alike = width.abs_diff(self.held) <= self.held / 4;
-            let is_better = if is_alike {
-                expected != 0 && after.abs_diff(expected) < self.held_after.abs_diff(expected)
-            } else {
-                width > self.held
-            };
-            if !is_better {
-                return;
-            }
-        }
-        (self.held, self.held_after, self.held_at) = (width, after, at);
-    }
-
-    /// The slot ends without a sweep: what waited is chosen, and where nothing came, soon nothing is expected.
-    #[cold]
-    #[inline(never)]
-    fn close_unchosen(&mut self) {
-        let rotor = &mut self.rotors[self.slot as usize & 3];
-        if self.held == 0 {
-            self.rest = Rest::Dark;
-            if rotor.missed != 0 {
-                rotor.after = 0;
-            }
-            rotor.missed = 1;
-            return;
-        }
-        self.rest = Rest::Sweep;
-        rotor.choose(self.held_after, core::mem::take(&mut self.held));
-        (self.late_slot, self.late_after, self.late_at) = (self.slot, self.held_after, self.held_at);
-    }
-
-    #[inline(always)]
-    pub(super) fn has_closed(&self) -> bool {
-        self.rest != Rest::Nothing
-    }
-
-    /// What the slot that ended last has left; said once.
-    #[inline]
-    pub(super) fn take_closed(&mut self) -> Option<Closed> {
-        if self.rest == Rest::Nothing {
-            return None;
-        }
-        match core::mem::take(&mut self.rest) {
-            Rest::Nothing => None,
-            Rest::Dark => Some(Closed::Dark(self.half_turn)),
-            Rest::Sweep => {
-                let slot = self.late_slot;
-                self.rotors[slot as usize & 3].sweeps += 1;
-                let (station, axis) = turn(slot);
-                let since_sync = Span(self.late_after);
-                Some(Closed::Sweep(Sweep { station, axis, at: self.late_at, since_sync, half_turn: self.half_turn }))
-            }
-        }
-    }
 }
 
 impl Train {
@@ -847,11 +539,5 @@ impl Train {
         if spread.unsigned_abs() <= step {
             self.bias_q3 += spread;
         }
-    }
-}
-
-impl Rotor {
-    fn choose(&mut self, after: u32, width: u32) {
-        (self.after, self.width, self.missed) = (after, width, 0);
     }
 }

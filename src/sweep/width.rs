@@ -3,7 +3,6 @@
 //! What can go wrong: a receiver changes every width by the same few microseconds. Absolute bins then lie; only the
 //! search, which knows nothing else yet, relies on them, and generously.
 
-use super::{Axis, HALF_TURN_BITS, HalfTurn};
 use crate::time::Span;
 
 /// One flash width step, 10.4167 us, is 1/800 of the half turn (1/120 s).
@@ -15,25 +14,6 @@ pub(super) const WIDTH_BASE_STEPS: u32 = 6;
 const WIDTH_ACCEPTED_STEPS: (u32, u32) = (5, 14);
 /// The longest width accepted as a sweep, in steps: 41.7 us. Real sweeps stay under 20 us.
 pub(super) const SWEEP_STEPS: u32 = 4;
-
-/// The axis, data and skip bits whose nominal width is nearest to `width`, for a half turn of `half_turn`.
-///
-/// Right while the receiver changes widths by less than half a step, 5.2 us. `None` outside the eight bins.
-#[must_use]
-pub fn nearest_width(half_turn: HalfTurn, width: Span) -> Option<(Axis, bool, bool)> {
-    if width >= half_turn.span() {
-        return None;
-    }
-    let steps = (u64::from(half_turn.share(width)) * u64::from(WIDTH_STEPS_PER_HALF_TURN)
-        + (1 << (HALF_TURN_BITS - 1)))
-        >> HALF_TURN_BITS;
-    let code = (steps as u32).checked_sub(WIDTH_BASE_STEPS)?;
-    if code > 7 {
-        return None;
-    }
-    let axis = if code & 1 == 0 { Axis::Azimuth } else { Axis::Elevation };
-    Some((axis, code & 2 != 0, code & 4 != 0))
-}
 
 /// Lengths that pulses are compared with, in ticks; worked out when the half turn changes.
 #[derive(Debug, Clone, Copy, Default)]

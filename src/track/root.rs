@@ -94,6 +94,16 @@ mod tests {
     }
 
     #[test]
+    fn the_reciprocal_root_is_within_three_halves_of_a_thousandth() {
+        for value in (1 << 14..1 << 30).step_by(40_001) {
+            let Root { mantissa, shift } = reciprocal_root(value);
+            let table = f64::from(mantissa) / f64::from(1 << 18) / f64::from(1 << shift);
+            let ratio = table * f64::from(value).sqrt();
+            assert!((ratio - 1.0).abs() < 1.5e-3, "{value}: {ratio}");
+        }
+    }
+
+    #[test]
     fn nonsense_has_no_root() {
         assert_eq!(square_root(-1), 0);
         assert_eq!(square_root(i32::MIN), 0);

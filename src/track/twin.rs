@@ -2,7 +2,6 @@
 
 use super::{Config, Step};
 
-pub(super) const HALF_TURNS_PER_S: f64 = 120.0;
 pub(super) type Vector = [f64; 3];
 type Matrix = [[f64; 3]; 3];
 

@@ -43,6 +43,10 @@ impl Cycle {
     /// A mote with the clock of the chip, somewhere in front of both stations.
     pub(crate) const TYPICAL: Self =
         Self { clock: 10_820_000, start: 1_000, sweep_after: [[230_000, 180_000], [150_000, 210_000]] };
+    /// The same, at x 0.5, y 1.0, z 0.5 m of the default room: the ideal angles -70542, 21162, 102300, -14620 (2^-20 half
+    /// turns), less the room's phases, from 200,000 straight ahead.
+    pub(crate) const IN_THE_ROOM: Self =
+        Self { sweep_after: [[167_155, 200_996], [237_081, 191_772]], ..Self::TYPICAL };
 
     /// Pulse `index` of slot `slot`: 0 is A's flash, 1 is B's, 2 the sweep.
     pub(crate) fn pulse(&self, slot: u32, index: u32) -> (Truth, Pulse) {

@@ -1,8 +1,5 @@
 //! Edges to what the mote tells of the light: real stations' frames through the whole path, its health, its batches.
 
-use std::fs;
-use std::path::Path;
-
 use sim::world::ootx::{Info, frame};
 use sim::world::rotor::Rotor;
 
@@ -16,10 +13,8 @@ use crate::pulse::Pulse;
 use crate::sweep::{Axis, Station, Sweep, Sync};
 use crate::time::{Span, Ticks};
 
-mod room {
-    #![allow(dead_code, reason = "what a board wants besides the room")]
-    include!(concat!(env!("OUT_DIR"), "/calib.rs"));
-}
+use super::mote::mote::room;
+use super::recordings::recording;
 
 /// The default room, every frame of the stations read, and believed.
 fn config(estimate: Estimate) -> Config {
@@ -29,21 +24,6 @@ fn config(estimate: Estimate) -> Config {
         angle: angle::Config::default().with_received([true, true]),
         ..room::CONFIG
     }
-}
-
-/// The pulses of a recording, as the 32-bit counter of a mote stamps them.
-fn recording(name: &str) -> Option<Vec<Pulse>> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/vive-pulses").join(name);
-    let Ok(text) = fs::read_to_string(&file) else {
-        eprintln!("skipped: there is no recording ../shared/data/vive-pulses/{name} beside the project");
-        return None;
-    };
-    let pulse = |line: &str| {
-        let (start, width) = line.split_once(',').expect("two columns");
-        let number = |text: &str| text.parse::<u64>().expect("a whole number") as u32;
-        Pulse { start: Ticks(number(start)), width: Span(number(width)) }
-    };
-    Some(text.lines().skip(1).map(pulse).collect())
 }
 
 /// What came of some light.
@@ -108,6 +88,8 @@ fn the_frames_of_a_recorded_headset_come_through_the_whole_path() {
 #[test]
 fn the_frames_of_a_recorded_tracker_come_through_the_whole_path() {
     let Some(pulses) = recording("tracker-two-stations.csv") else { return };
+    let printed = [0.05862, 0.06216].map(|phase| half::f16::from_f64(phase).to_bits());
+    assert_eq!(TRACKER_B.1.map(|rotor| rotor[0]), printed);
     let heard = hear(&pulses);
     let blocks: Vec<Terms> = heard.blocks[1].iter().map(terms).collect();
     assert!(!blocks.is_empty());
@@ -162,8 +144,6 @@ fn a_hidden_station_costs_its_own_frames_and_none_of_the_other() {
     }
 }
 
-/// x 0.5, y 1.0, z 0.5 m in the default room.
-const SWEEP_AFTER: [[u32; 2]; 2] = [[167_155, 200_996], [237_081, 191_772]];
 /// What the synthetic stations say: channels b and c, the second with a fault.
 const SAID: [Info; 2] = [said(1_234_567_890, 1, 0), said(77, 2, 5)];
 /// The phases of the default room's rotors, rad.
@@ -228,7 +208,7 @@ const ROTORS: [[(Station, Axis); 2]; 2] = [
 
 #[test]
 fn health_counts_what_was_played() {
-    let cycle = Cycle { sweep_after: SWEEP_AFTER, start: u32::MAX - 30_000_000, ..Cycle::TYPICAL };
+    let cycle = Cycle { start: u32::MAX - 30_000_000, ..Cycle::IN_THE_ROOM };
     let config =
         Config { ootx: ootx::Config { rest_bits: 0, ids: [Some(SAID[0].id), Some(78)] }, ..config(Estimate::Track) };
     let config = Config { angle: room::CONFIG.angle.with_received([true, false]), ..config };
@@ -305,7 +285,7 @@ fn health_counts_what_was_played() {
 
 #[test]
 fn stations_that_are_swapped_are_said_and_give_no_place() {
-    let cycle = Cycle { sweep_after: SWEEP_AFTER, ..Cycle::TYPICAL };
+    let cycle = Cycle::IN_THE_ROOM;
     let pulses = light(&cycle, 0, 1200, [0; 2], as_is);
     for (ids, is_swapped) in [([SAID[0].id, SAID[1].id], false), ([SAID[1].id, SAID[0].id], true)] {
         let config =
@@ -331,7 +311,7 @@ fn stations_that_are_swapped_are_said_and_give_no_place() {
 
 #[test]
 fn health_says_why_there_is_no_cycle() {
-    let cycle = Cycle { sweep_after: SWEEP_AFTER, ..Cycle::TYPICAL };
+    let cycle = Cycle::IN_THE_ROOM;
     let config = config(Estimate::Track);
     assert_eq!(Chain::default().health(&room::CONFIG, Ticks(0)), Health::default());
     let is_of = |truth: Truth, one: Station| match truth {
@@ -365,11 +345,12 @@ fn health_says_why_there_is_no_cycle() {
 
 #[test]
 fn health_counts_angles_that_cannot_be() {
-    let cycle = Cycle { sweep_after: SWEEP_AFTER, ..Cycle::TYPICAL };
+    let cycle = Cycle::IN_THE_ROOM;
+    let [a, b] = cycle.sweep_after;
     // The field of view ends at 60 degrees, 333,333; this is 61.2.
-    let beyond = Cycle { sweep_after: [[336_000, 200_996], SWEEP_AFTER[1]], ..cycle };
+    let beyond = Cycle { sweep_after: [[336_000, a[1]], b], ..cycle };
     // Twenty degrees up for one station only: the rays miss each other.
-    let askew = Cycle { sweep_after: [[SWEEP_AFTER[0][0], SWEEP_AFTER[0][1] + 44_444], SWEEP_AFTER[1]], ..cycle };
+    let askew = Cycle { sweep_after: [[a[0], a[1] + 44_444], b], ..cycle };
     let config = |estimate| Config { angle: angle::Config::default(), ..self::config(estimate) };
     let mut chain = Chain::default();
     play(&mut chain, &config(Estimate::Angles), &light(&cycle, 0, 120, [0; 2], as_is));
@@ -408,7 +389,7 @@ fn batches(pulses: &[Pulse], dark: Option<Ticks>) -> (Vec<(Ticks, Angles)>, Vec<
         take(classifier.pulse(&config, *pulse), pulse.start);
     }
     if let Some(dark) = dark {
-        take(classifier.expire(&config, dark), dark);
+        take(classifier.expire(dark), dark);
     }
     (frames, sweeps)
 }

@@ -23,8 +23,7 @@ use mote::queue::{Queue, Reader, Writer};
 use mote::room;
 use mote::stages::{Board, Classify, Pulses, Queues, Solve};
 
-/// A mote at rest at 0.5, 1.0, 0.5 m of the default room: `tests/chain.rs` has the derivation.
-const LIGHT: Cycle = Cycle { sweep_after: [[167_155, 200_996], [237_081, 191_772]], ..Cycle::TYPICAL };
+const LIGHT: Cycle = Cycle::IN_THE_ROOM;
 
 thread_local! {
     static EDGES_LOST: Cell<u16> = const { Cell::new(0) };
@@ -86,7 +85,7 @@ impl App {
     }
 
     fn second(&mut self, now: Ticks) {
-        self.classify.second(&self.config, now);
+        self.classify.second(now);
         self.solve();
     }
 

@@ -1,8 +1,4 @@
-//! Stations as others encode them, and as they were recorded.
-
-use std::collections::BTreeMap;
-use std::fs;
-use std::path::Path;
+//! Stations as others encode them. What was recorded of real ones is in `chain.rs` beside this.
 
 use half::f16;
 use proptest::prelude::*;
@@ -11,9 +7,7 @@ use sim::world::ootx::{Info, frame};
 use sim::world::rotor::Rotor;
 
 use crate::ootx::{Block, Config, Half, Outcome, State, gap, step};
-use crate::pulse::Pulse;
-use crate::sweep::{self, Axis, Light};
-use crate::time::{Span, Ticks};
+use crate::sweep::Axis;
 
 /// Every frame is read.
 const CONFIG: Config = Config { rest_bits: 0, ids: [None, None] };
@@ -170,94 +164,5 @@ fn every_half_float_is_the_number_it_stands_for() {
     for bits in 0..=u16::MAX {
         let (ours, theirs) = (Half(bits).to_f64(), f16::from_bits(bits).to_f64());
         assert!(ours.to_bits() == theirs.to_bits() || ours.is_nan() && theirs.is_nan(), "{bits:#x}: {ours} {theirs}");
-        if let Some(q24) = Half(bits).q24() {
-            assert_eq!(f64::from(q24) / f64::from(1 << 24), theirs, "{bits:#x}");
-        } else {
-            assert!(!theirs.is_finite() || theirs.abs() >= 128.0, "{bits:#x}");
-        }
-    }
-}
-
-/// The blocks of a station, and what was missed or dropped.
-type Heard = (Vec<Block>, BTreeMap<String, u32>);
-
-/// What is heard of both stations in a recording of pulses, through the stages before.
-fn recorded(name: &str) -> Option<[Heard; 2]> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/vive-pulses").join(name);
-    let Ok(text) = fs::read_to_string(&file) else {
-        eprintln!("skipped: there is no recording ../shared/data/vive-pulses/{name} beside the project");
-        return None;
-    };
-    let mut light = sweep::State::default();
-    let mut stations = [State::default(), State::default()];
-    let mut heard = [(Vec::new(), BTreeMap::new()), (Vec::new(), BTreeMap::new())];
-    let mut last = [None; 2];
-    for line in text.lines().skip(1) {
-        let (start, width) = line.split_once(',').expect("two columns");
-        let number = |text: &str| text.parse::<u64>().expect("a whole number") as u32;
-        let pulse = Pulse { start: Ticks(number(start)), width: Span(number(width)) };
-        match sweep::step(&sweep::Config::DEFAULT, &mut light, pulse) {
-            Some(Light::Sync(sync)) => {
-                let (at, half_turn) = (sync.station as usize, light.half_turn().expect("locked").span().0);
-                if let Some(last) = last[at] {
-                    let slots = (pulse.start.since(last).0 + half_turn / 2) / half_turn;
-                    gap(&mut stations[at], u8::try_from(slots - 1).unwrap_or(u8::MAX));
-                    *heard[at].1.entry("missed".to_string()).or_default() += slots - 1;
-                }
-                last[at] = Some(pulse.start);
-                match step(&CONFIG, &mut stations[at], sync.data) {
-                    Some(Outcome::Good(block)) => heard[at].0.push(block),
-                    Some(Outcome::Bad(flaw)) => *heard[at].1.entry(format!("{flaw:?}")).or_default() += 1,
-                    None => {}
-                }
-            }
-            Some(Light::Lost) => {
-                for at in 0..2 {
-                    stations[at].restart();
-                    *heard[at].1.entry("lost".to_string()).or_default() += 1;
-                }
-                last = [None; 2];
-            }
-            _ => {}
-        }
-    }
-    Some(heard)
-}
-
-/// The phases, rad.
-fn phases(block: &Block) -> [f64; 2] {
-    [Axis::Azimuth, Axis::Elevation].map(|axis| block.terms(axis).phase.to_f64())
-}
-
-/// `printed` is all the digits that `value` was printed with.
-fn is_as_printed(value: f64, printed: f64, digit: f64) -> bool {
-    (value - printed).abs() <= digit / 2.0 + 1e-12
-}
-
-#[test]
-fn a_recorded_headset_hears_both_stations() {
-    let Some([a, b]) = recorded("hmd-one-station-visible.csv") else { return };
-    for ((blocks, flaws), frames, id, [azimuth, elevation], digits) in [
-        (&a, 4, 3_200_290_360, [0.01559, 0.0382], [1e-5, 1e-4]),
-        (&b, 5, 3_275_443_681, [0.0547, 0.06186], [1e-4, 1e-5]),
-    ] {
-        assert_eq!(blocks.len(), frames, "{flaws:?}");
-        for block in blocks {
-            assert_eq!((block.id(), block.protocol(), block.faults()), (id, 6, 0));
-            assert!(is_as_printed(phases(block)[0], azimuth, digits[0]), "{:?}", phases(block));
-            assert!(is_as_printed(phases(block)[1], elevation, digits[1]), "{:?}", phases(block));
-        }
-    }
-}
-
-#[test]
-fn a_recorded_tracker_hears_a_station() {
-    let Some([_, (blocks, flaws)]) = recorded("tracker-two-stations.csv") else { return };
-    assert!(!blocks.is_empty(), "{flaws:?}");
-    for block in &blocks {
-        assert_eq!(block.id(), 178_605_925);
-        let tilts = [Axis::Azimuth, Axis::Elevation].map(|axis| block.terms(axis).tilt.to_f64());
-        assert!(is_as_printed(phases(block)[0], 0.05862, 1e-5) && is_as_printed(phases(block)[1], 0.06216, 1e-5));
-        assert!(is_as_printed(tilts[0], 0.001343, 1e-6) && is_as_printed(tilts[1], 0.000_079_3, 1e-7), "{tilts:?}");
     }
 }

@@ -5,10 +5,12 @@
 //! data bits spell each station's calibration frame again and again, one bit per slot: the majority of the repetitions
 //! makes one frame, whose CRC and identity prove it, and every single bit is then held against it.
 //!
-//! What can go wrong: the recordings are not there, which is said, and passed over.
+//! What can go wrong: the recordings are not there, which is said; the test is skipped.
 
 use std::collections::BTreeMap;
 use std::path::Path;
+
+use sim::world::ootx::crc32;
 
 use crate::pulse::Pulse;
 use crate::sweep::{self, Axis, Light, Station, Sync};
@@ -25,16 +27,17 @@ const SAME: u32 = 4_800;
 /// The share of wrong or missing flashes that is allowed: 0.1 %.
 const WRONG_PER: usize = 1_000;
 
-fn recording(name: &str) -> Option<Vec<Pulse>> {
+/// The pulses of a recording, as the 32-bit counter of a mote stamps them.
+pub(super) fn recording(name: &str) -> Option<Vec<Pulse>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/vive-pulses").join(name);
     let Ok(text) = std::fs::read_to_string(&path) else {
-        eprintln!("passed over: {} is not there", path.display());
+        eprintln!("skipped: there is no {}", path.display());
         return None;
     };
-    let number = |cell: Option<&str>| cell.and_then(|cell| cell.trim().parse().ok()).expect("two whole numbers");
+    let number = |cell: &str| cell.trim().parse::<u64>().expect("a whole number") as u32;
     let pulse = |line: &str| {
-        let mut cells = line.split(',');
-        Pulse { start: Ticks(number(cells.next())), width: Span(number(cells.next())) }
+        let (start, width) = line.split_once(',').expect("two columns");
+        Pulse { start: Ticks(number(start)), width: Span(number(width)) }
     };
     Some(text.lines().skip(1).map(pulse).collect())
 }
@@ -127,10 +130,7 @@ fn payload(bits: &[bool]) -> Vec<u8> {
         bytes.extend(word[..16].chunks(8).map(|bits| bits.iter().fold(0u8, |byte, bit| byte << 1 | u8::from(*bit))));
     }
     assert_eq!(bytes[..2], [33, 0]);
-    let crc = !bytes[2..35].iter().fold(!0u32, |crc, &byte| {
-        (0..8).fold(crc ^ u32::from(byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 })
-    });
-    assert_eq!(bytes[36..40], crc.to_le_bytes(), "the CRC");
+    assert_eq!(bytes[36..40], crc32(&bytes[2..35]).to_le_bytes(), "the CRC");
     bytes[2..35].to_vec()
 }
 

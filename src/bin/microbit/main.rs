@@ -83,7 +83,7 @@ mod app {
     #[task(binds = TIMER1, priority = 3, shared = [classify], local = [seconds])]
     fn second(cx: second::Context) {
         while let Some(at) = cx.local.seconds.due() {
-            cx.shared.classify.second(&CONFIG, at);
+            cx.shared.classify.second(at);
             rtic::pend(Interrupt::SWI1);
         }
     }

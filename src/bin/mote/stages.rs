@@ -155,11 +155,11 @@ impl<B: Board> Classify<B> {
     }
 
     /// A second has passed: notices a long darkness at `now`, and tells how the light is understood.
-    pub fn second(&mut self, config: &Config, now: Ticks) {
+    pub fn second(&mut self, now: Ticks) {
         self.uptime = self.uptime.wrapping_add(1);
         // Where a pulse waits, it is not dark.
         if self.pulses.is_empty()
-            && let Some(sighting) = self.classifier.expire(config, now)
+            && let Some(sighting) = self.classifier.expire(now)
         {
             self.pass_on(sighting);
         }

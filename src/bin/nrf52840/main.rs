@@ -152,7 +152,7 @@ mod app {
 
     #[task(binds = EGU1_SWI1, priority = 3, shared = [classify])]
     fn second(cx: second::Context) {
-        cx.shared.classify.second(&CONFIG, clock::now());
+        cx.shared.classify.second(clock::now());
         rtic::pend(Interrupt::EGU2_SWI2);
         watchdog::moved(Stage::Classify);
     }

@@ -157,7 +157,7 @@ mod app {
 
     #[task(binds = SOFT10, priority = 3, shared = [classify])]
     fn second(cx: second::Context) {
-        cx.shared.classify.second(&CONFIG, rf_timer::now());
+        cx.shared.classify.second(rf_timer::now());
         let half_turn = cx.shared.classify.half_turn();
         tuning::light(half_turn);
         rf_timer::arm(Alarm::Second, half_turn.map_or(SECOND, rf_timer::second));

@@ -96,7 +96,7 @@ impl Player {
         let calib = room()?;
         let nowhere = track::Pose { axes: Matrix3::zeros(), position: Vector3::zeros() };
         let config = Config {
-            sweep: sweep::Config { lone, ..sweep::Config::DEFAULT },
+            sweep: sweep::Config { lone },
             ootx: ootx::Config { rest_bits: 0, ids: [None, None] },
             angle: angle::Config::default(),
             fix: fix::Config { calib, max_age_half_turns: 12 },
@@ -158,7 +158,7 @@ impl Player {
             if now >= rise {
                 return;
             }
-            let sighting = self.classifier.expire(&self.config, Ticks(now as u32));
+            let sighting = self.classifier.expire(Ticks(now as u32));
             self.sight(now, sighting);
             self.look(now, Ticks(now as u32));
         }

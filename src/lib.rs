@@ -58,4 +58,5 @@ mod on_host {
     mod ootx;
     mod properties;
     mod recordings;
+    mod ts4231;
 }

@@ -67,15 +67,13 @@ impl<const N: usize> Pulses for Reader<Pulse, N> {
 
 /// Sightings between the stages: 67 ms at 120 sweeps a second.
 const SIGHTINGS: usize = 8;
-/// The memory for them.
-pub type Sightings = Queue<Sighting, SIGHTINGS>;
 
 /// Sightings dropped because the queue was full. Written by [`Classify`] alone.
 static LOST: AtomicU16 = AtomicU16::new(0);
 
 /// What the first stage tells of itself, once a second.
 #[derive(Debug, Clone, Copy)]
-pub struct Told {
+struct Told {
     understood: Understood,
     /// Seconds since start-up.
     uptime: u32,
@@ -85,20 +83,17 @@ pub struct Told {
 
 /// Room for what was told: it is read before there is more.
 const TOLD: usize = 2;
-/// The memory for it.
-pub type Tales = Queue<Told, TOLD>;
 
 /// Frames that may wait, the one on the air among them: as many as are made in 50 ms, for which a radio may be occupied
 /// with its own clock, where every sweep is reported.
 pub const FRAMES: usize = 8;
-/// The memory for them, where a transmitter can read it: on a word.
-pub type Air = Queue<Aligned, FRAMES>;
 
 /// The memory between the tasks.
 pub struct Queues {
-    sightings: Sightings,
-    tales: Tales,
-    air: Air,
+    sightings: Queue<Sighting, SIGHTINGS>,
+    tales: Queue<Told, TOLD>,
+    /// Where a transmitter can read it: on a word.
+    air: Queue<Aligned, FRAMES>,
 }
 
 impl Queues {
@@ -134,7 +129,7 @@ pub struct Classify<B: Board> {
 
 impl<B: Board> Classify<B> {
     /// Reads `pulses`, writes `sightings` and `tales`.
-    pub fn new(pulses: B::Pulses, sightings: Writer<Sighting, SIGHTINGS>, tales: Writer<Told, TOLD>) -> Self {
+    fn new(pulses: B::Pulses, sightings: Writer<Sighting, SIGHTINGS>, tales: Writer<Told, TOLD>) -> Self {
         Self { classifier: Classifier::default(), pulses, sightings, owed: None, tales, uptime: 0 }
     }
 
@@ -234,7 +229,7 @@ pub struct Solve<B: Board> {
 
 impl<B: Board> Solve<B> {
     /// Reads `sightings` and `tales`, writes `frames`; `reset` goes into every health frame.
-    pub fn new(
+    fn new(
         sightings: Reader<Sighting, SIGHTINGS>,
         tales: Reader<Told, TOLD>,
         frames: Frames<B>,
@@ -302,7 +297,7 @@ impl<B: Board> Solve<B> {
 }
 
 /// The way onto the air: frames made where the radio sends them from.
-pub struct Frames<B: Board> {
+struct Frames<B: Board> {
     queue: Writer<Aligned, FRAMES>,
     /// Of the next frame.
     sequence: u16,
@@ -314,7 +309,7 @@ pub struct Frames<B: Board> {
 
 impl<B: Board> Frames<B> {
     /// Writes `queue`.
-    pub const fn new(queue: Writer<Aligned, FRAMES>) -> Self {
+    const fn new(queue: Writer<Aligned, FRAMES>) -> Self {
         Self {
             queue,
             sequence: 0,

@@ -7,7 +7,7 @@
 
 use nrf_pac::gpio::{Gpio, regs::PinCnf, vals};
 
-use crate::psdu::Channel;
+use crate::channel::Channel;
 
 /// A pin.
 #[derive(Clone, Copy)]

@@ -22,6 +22,7 @@ mod board;
 mod bring_up;
 mod capture;
 mod cause;
+mod channel;
 mod clock;
 mod csma;
 #[path = "../mote/fault.rs"]
@@ -80,6 +81,7 @@ mod app {
     use crate::board::CHANNEL;
     use crate::capture::{self, Capture, Pulses};
     use crate::cause::Boot;
+    use crate::channel::Channel;
     use crate::clock::{self, Alarm, SECOND};
     use crate::mote::room::CONFIG;
     #[cfg(feature = "security")]
@@ -87,7 +89,7 @@ mod app {
     #[cfg(feature = "security")]
     use crate::mote::seal::Seal;
     use crate::mote::stages::{Classify, Queues, Solve};
-    use crate::psdu::{Channel, Psdu};
+    use crate::psdu::Psdu;
     use crate::radio::Radio;
     use crate::watchdog::{self, Stage, Watchdog};
     use crate::{Nrf52840, bring_up, fault, receiver};

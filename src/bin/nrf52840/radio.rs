@@ -23,11 +23,12 @@ use lighthouse_mote::time::Span;
 use nrf_pac::radio::{regs, vals};
 use nrf_pac::{FICR, RADIO};
 
+use crate::channel::Channel;
 use crate::clock::{self, Alarm, TICKS_PER_US};
 use crate::csma::Csma;
 use crate::mote::queue::Reader;
 use crate::mote::stages::FRAMES;
-use crate::psdu::{Channel, MAX_PSDU, Psdu};
+use crate::psdu::{MAX_PSDU, Psdu};
 
 /// Both ramps are at most 0.14 ms each, assessment 0.128 ms (PS 6.20.15.8, 6.20.12.4), and the longest frame is 133
 /// bytes of 32 us, 4.3 ms.

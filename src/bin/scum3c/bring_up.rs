@@ -8,8 +8,8 @@
 //! What can go wrong: there is no way to read the chain back. The last one written counts, as a whole.
 
 use crate::memory::opaque;
+use crate::oscillators::{self, flip};
 use crate::pac::analog;
-use crate::tuning::{self, flip};
 
 /// Typical 20 MHz (`scm3c_hw_interface.c`, INIT_HF_CLOCK_COARSE); the fine code is tuned.
 const HF_COARSE: u32 = 3;
@@ -138,10 +138,10 @@ pub fn write_chain() {
     for (index, &word) in MOTE.0.iter().enumerate().rev() {
         let mut word = word;
         if index == HF_WORD {
-            word |= flip(tuning::hf_fine() ^ HF_INVERTED) << HF_SHIFT;
+            word |= flip(oscillators::hf_fine() ^ HF_INVERTED) << HF_SHIFT;
         }
         if index == CHIP_CLOCK_WORD {
-            for (code, shift) in tuning::chip_clock().zip(CHIP_CLOCK_SHIFTS) {
+            for (code, shift) in oscillators::chip_clock().zip(CHIP_CLOCK_SHIFTS) {
                 word |= flip(code) << shift;
             }
         }

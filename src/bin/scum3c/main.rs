@@ -20,16 +20,19 @@
 
 mod bring_up;
 mod capture;
+mod crash;
 mod fault;
 mod image;
 mod memory;
 #[path = "../mote/mod.rs"]
 mod mote;
+mod oscillators;
 mod pac;
 mod radio;
 mod rf_timer;
 mod tuning;
 mod uart_log;
+mod watchdog;
 
 use lighthouse_mote::identity::{self, Block, Identity};
 
@@ -75,11 +78,11 @@ mod app {
     use crate::mote::room::CONFIG;
     #[cfg(feature = "security")]
     use crate::mote::seal::Seal;
-    use crate::mote::stages::{Air, Classify, Frames, Sightings, Solve, Tales};
+    use crate::mote::stages::{Classify, Queues, Solve};
     use crate::pac::Interrupt;
     use crate::radio::Radio;
     use crate::rf_timer::{self, Alarm, SECOND};
-    use crate::{Scum3c, bring_up, fault, tuning, uart_log};
+    use crate::{Scum3c, bring_up, crash, tuning, uart_log};
 
     #[shared]
     struct Shared {
@@ -96,46 +99,28 @@ mod app {
         solve: Solve<Scum3c>,
     }
 
-    #[init(local = [
-        sightings: Sightings = Sightings::new(),
-        tales: Tales = Tales::new(),
-        frames: Air = Air::new(),
-    ])]
+    #[init(local = [queues: Queues = Queues::new()])]
     fn init(cx: init::Context) -> (Shared, Local) {
         bring_up::chip();
         let image = image::check();
         rf_timer::start();
         rf_timer::arm(Alarm::Second, SECOND);
-        let crash = fault::last();
+        let last = crash::last();
         let identity = crate::IDENTITY.read();
-        defmt::info!("lighthouse mote {=u16:#06x}, image {}, last crash {}", identity.mote, image, crash);
-        fault::watch();
+        defmt::info!("lighthouse mote {=u16:#06x}, image {}, last crash {}", identity.mote, image, last);
+        crate::watchdog::watch();
 
         let (capture, pulses) = capture::start();
-        let (to_solve, sightings) = cx.local.sightings.split();
-        let (to_tell, tales) = cx.local.tales.split();
-        let (to_radio, frames) = cx.local.frames.split();
-        let reset = match (image, crash) {
-            (Image::Damaged, _) => (Reset::Image, 0),
-            (_, Some(crash)) => (crash.reset(), crash.at),
-            (_, None) => (Reset::PowerOn, 0),
-        };
-        let solve = Solve::new(sightings, tales, Frames::new(to_radio), reset);
+        let reset = if image == Image::Damaged { (Reset::Image, 0) } else { crash::Crash::told(last) };
+        let (classify, solve, frames) = cx.local.queues.wire(pulses, reset);
         #[cfg(feature = "security")]
         let solve = solve.under(crate::mote::room::KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
-        (
-            Shared {
-                capture,
-                classify: Classify::new(pulses, to_solve, to_tell),
-                radio: Radio::new(frames, identity.channel),
-            },
-            Local { solve },
-        )
+        (Shared { capture, classify, radio: Radio::new(frames, identity.channel) }, Local { solve })
     }
 
     #[task(binds = SysTick, priority = 4)]
     fn watchdog(_: watchdog::Context) {
-        fault::turn();
+        crate::watchdog::turn();
     }
 
     #[task(binds = GPIO8, priority = 4, shared = [capture])]

@@ -16,12 +16,12 @@ use core::sync::atomic::{AtomicU16, Ordering, fence};
 use lighthouse_mote::frame::{Aligned, HEALTH_LEN};
 use lighthouse_mote::time::Span;
 
-use crate::fault;
 use crate::mote::queue::Reader;
 use crate::mote::stages::FRAMES;
 use crate::pac::{analog, rf};
 use crate::rf_timer::{self, Alarm};
 use crate::tuning::Lc;
+use crate::watchdog;
 
 /// Supplies and frame need 50 us before the send (`radio.c:176`): 1000 ticks are that even at twice 10 MHz.
 const SETTLE: Span = Span(1000);
@@ -79,7 +79,7 @@ impl Radio {
         let done = rf::INT.read();
         rf::INT_CLEAR.write(done);
         if done & rf::TX_SEND_DONE != 0 && self.state == State::Sending {
-            fault::alive();
+            watchdog::alive();
             self.rest();
         }
         if self.state == State::Off

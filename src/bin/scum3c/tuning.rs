@@ -13,12 +13,13 @@
 //! tuned, and the typical codes are off by percents: a listener has to search for a mote that never saw light. A step
 //! of the 20 MHz oscillator changes every span at once: the cycle may be lost and found again.
 
-use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering::Relaxed};
+use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use lighthouse_mote::time::Span;
 
 use crate::bring_up;
 use crate::memory::opaque;
+use crate::oscillators::{CHANGED, CHIP_CLOCK, HF_FINE, flip, shift};
 use crate::pac::{analog, scb};
 
 /// A half turn at 10 MHz, ticks: 20 MHz halved, 120 half turns a second.
@@ -27,8 +28,6 @@ const HALF_TURN: i32 = 83_333;
 const HF_TOLERANCE: i32 = 125;
 /// One fine code is 6000 counts of 2,000,000 (`optical.c`), so 250 ticks of a half turn: 2^8, nearly.
 const HF_STEP_BITS: u32 = 8;
-/// The highest of a code of five bits.
-const LAST: i32 = 31;
 /// Half turns of a count: 50 ms.
 const COUNTED: u32 = 6;
 
@@ -46,51 +45,12 @@ const LC_STEP_BITS: u32 = 3;
 /// The last code whose coarse part has five bits.
 const LC_LAST: i32 = 1819;
 /// 2 MHz over 50 ms.
-const CHIP_CLOCK: i32 = 100_000;
+const CHIP_CLOCK_COUNTS: i32 = 100_000;
 /// Beyond this the coarse code moves, else the fine, else the superfine one: half of 600, 80 and 15 (`optical.c`).
 const CHIP_CLOCK_LIMITS: [i32; 3] = [300, 40, 7];
 
-/// The fine code of the 20 MHz oscillator; INIT_HF_CLOCK_FINE of `scm3c_hw_interface.c` at first. Written by [`light`].
-static HF_FINE: AtomicU8 = AtomicU8::new(17);
-/// Coarse, fine and superfine code of the chip clock; RC2M_..._LH of `lighthouse.h` at first. Written by [`Lc::tune`].
-static CODES: [AtomicU8; 3] = [AtomicU8::new(21), AtomicU8::new(15), AtomicU8::new(15)];
-/// The scan chain is to be written anew.
-static CHANGED: AtomicBool = AtomicBool::new(false);
 /// Ticks of a count, 0 while there is no light to count by. Written by [`light`].
 static WINDOW: AtomicU32 = AtomicU32::new(0);
-
-/// The fine code of the 20 MHz oscillator.
-pub fn hf_fine() -> u32 {
-    HF_FINE.load(Relaxed).into()
-}
-
-/// Coarse, fine and superfine code of the chip clock.
-pub fn chip_clock() -> impl Iterator<Item = u32> {
-    CODES.iter().map(|code| code.load(Relaxed).into())
-}
-
-/// Five bits the other way round.
-#[inline(never)]
-pub fn flip(code: u32) -> u32 {
-    let (mut code, mut flipped) = (code, 1);
-    while flipped < 32 {
-        flipped = opaque(flipped << 1 | code & 1);
-        code >>= 1;
-    }
-    flipped - 32
-}
-
-/// Moves a code by `steps` as far as it goes; whether it did.
-#[inline(never)]
-fn shift(code: &AtomicU8, steps: i32) -> bool {
-    let old = code.load(Relaxed);
-    let new = (i32::from(old) + steps).clamp(0, LAST) as u8;
-    code.store(new, Relaxed);
-    if new != old {
-        CHANGED.store(true, Relaxed);
-    }
-    new != old
-}
 
 /// A second has passed with the rotors' half turn at `half_turn` ticks, if they were seen.
 #[cold]
@@ -221,8 +181,8 @@ impl Lc {
                 self.rest = 0;
             }
         }
-        let fast = chips - CHIP_CLOCK - ((late * 13) >> 7);
-        for (code, limit) in CODES.iter().zip(CHIP_CLOCK_LIMITS) {
+        let fast = chips - CHIP_CLOCK_COUNTS - ((late * 13) >> 7);
+        for (code, limit) in CHIP_CLOCK.iter().zip(CHIP_CLOCK_LIMITS) {
             if fast.abs() > limit {
                 // A higher code is a slower clock.
                 if shift(code, fast.signum()) {

@@ -14,7 +14,7 @@ use lighthouse_mote::time::{Span, Ticks};
 
 use crate::capture::EDGES;
 use crate::pac::{nvic, scb, uart};
-use crate::{fault, rf_timer};
+use crate::{crash, rf_timer};
 
 /// 10 bits at 38,400 baud and 10 MHz are 2,604 ticks; both rates come from the same oscillator.
 const BYTE_TIME: Span = Span(2800);
@@ -62,7 +62,7 @@ unsafe impl defmt::Logger for Log {
         // SAFETY: no other context can be inside, as said at `Cell`; the reference ends with this function.
         let state = unsafe { &mut *STATE.0.get() };
         if state.taken {
-            fault::reset(fault::Kind::Log, 0);
+            crash::reset(crash::Kind::Log, 0);
         }
         state.taken = true;
         state.lines = lines;

@@ -6,6 +6,30 @@
 //! The factory terms are those of the room's file, or, where it asks for that, those that the station itself sends; until
 //! they have come the file's are used ([`Factory`]).
 //!
+//! ```
+//! use lighthouse_mote::angle::{self, Config, FIELD_OF_VIEW, State};
+//! use lighthouse_mote::sweep::{Axis, HalfTurn, Station, Sweep};
+//! use lighthouse_mote::time::{Span, Ticks};
+//!
+//! // The same direction, 45 degrees, on a clock of 10 MHz and on one that is 20 % slow.
+//! let mut state = State::default();
+//! for half_turn_ticks in [83_332, 66_668] {
+//!     let sweep = Sweep {
+//!         station: Station::A,
+//!         axis: Axis::Azimuth,
+//!         at: Ticks(7),
+//!         since_sync: Span(half_turn_ticks / 4 * 3),
+//!         half_turn: HalfTurn::from_ticks_q8(half_turn_ticks << 8).expect("a clock that the arithmetic holds"),
+//!     };
+//!     let bearing = angle::step(&Config::default(), &mut state, sweep).expect("in view");
+//!     assert!(bearing.angle.0.abs_diff(FIELD_OF_VIEW / 4 * 3) <= 2);
+//!     // 67.5 degrees to the side no station shines.
+//!     let beyond = Sweep { since_sync: Span(half_turn_ticks / 8 * 7), ..sweep };
+//!     assert_eq!(angle::step(&Config::default(), &mut state, beyond), None);
+//! }
+//! assert_eq!(state.outside(), 2);
+//! ```
+//!
 //! What can go wrong: a pulse that was no sweep gives an angle outside the rotor's field of view; it is rejected here.
 //! A station that sends terms beyond anything seen is not believed ([`received`]).
 

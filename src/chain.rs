@@ -4,6 +4,36 @@
 //! [`Classifier`] at the higher priority, [`Solver`] at the lower, a queue between. [`Chain`] is both in a row, for
 //! host tests and replay: the same code as on the mote.
 //!
+//! ```
+//! use lighthouse_mote::chain::{Chain, Config};
+//! use lighthouse_mote::edge::Edge;
+//! use lighthouse_mote::frame::{Level, Lock};
+//! use lighthouse_mote::time::Ticks;
+//! use sim::world::path::Path;
+//! use sim::world::{Scene, World};
+//!
+//! mod room {
+//!     // What build.rs made of calib/default.toml.
+//!     include!(concat!(env!("OUT_DIR"), "/calib.rs"));
+//! }
+//! const CONFIG: Config = room::CONFIG;
+//!
+//! // Two seconds of light in that room, on a clock that is 4 % off.
+//! let place = [0.5, 1.0, 0.7];
+//! let scene = Scene { path: Path::Still { at_m: place }, length_s: 2.0, ..Scene::default() };
+//! let (mut chain, mut reports, mut now) = (Chain::default(), Vec::new(), Ticks(0));
+//! for change in World::new(&scene, 1).edges() {
+//!     now = Ticks(change.cycle as u32);
+//!     let edge = if change.level { Edge::rise(now) } else { Edge::fall(now) };
+//!     reports.extend(chain.step(&CONFIG, edge));
+//! }
+//! let last = reports.last().expect("the cycle is found within half a second");
+//! assert_eq!((last.level, last.stations), (Level::Full, 3));
+//! let error = |axis: usize| (last.position[axis].to_num::<f64>() - place[axis]).abs();
+//! assert!((0..3).all(|axis| error(axis) < 0.01), "1 cm: {:?}", last.position);
+//! assert_eq!(chain.health(&CONFIG, now).lock, Lock::Locked);
+//! ```
+//!
 //! What can go wrong: every stage drops what it cannot use and counts it; the counts travel in each report.
 
 mod batch;

@@ -3,6 +3,19 @@
 //! The deglitch rule lives with the reader of edges ([`crate::pulse`]): levels must alternate. A second rise means the
 //! fall between was lost, so the newer rise counts; a second fall has no pulse to end and is dropped.
 //!
+//! ```
+//! use lighthouse_mote::edge::Edge;
+//! use lighthouse_mote::pulse::{self, Pulse, State};
+//! use lighthouse_mote::time::{Span, Ticks};
+//!
+//! // The fall of the first pulse never came, that of the second came twice.
+//! let edges = [Edge::rise(Ticks(1_000)), Edge::rise(Ticks(5_000)), Edge::fall(Ticks(5_940)), Edge::fall(Ticks(5_990))];
+//! let mut state = State::default();
+//! let pulses: Vec<Pulse> = edges.into_iter().filter_map(|edge| pulse::step(&mut state, edge)).collect();
+//! assert_eq!(pulses, [Pulse { start: Ticks(5_000), width: Span(940) }]);
+//! assert_eq!(state.lost(), 2);
+//! ```
+//!
 //! What can go wrong: interrupt latency delays the stamp. A constant delay cancels in every span; its jitter does not.
 
 use crate::time::Ticks;

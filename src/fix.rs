@@ -5,6 +5,37 @@
 //! and nothing else, so everything about the room is worked out before, by `calib/quantise.rs`, and arrives here as
 //! a [`Calib`]: a plain value, meant to be a `const`, so that the compiler folds its numbers and shifts into the code.
 //!
+//! ```
+//! use lighthouse_mote::angle::{Angle, Bearing};
+//! use lighthouse_mote::fix::{self, State};
+//! use lighthouse_mote::sweep::{Axis, HalfTurn, Station};
+//! use lighthouse_mote::time::Ticks;
+//!
+//! mod room {
+//!     // What build.rs made of calib/default.toml.
+//!     include!(concat!(env!("OUT_DIR"), "/calib.rs"));
+//! }
+//!
+//! // Where the stations see 0.5, 1.0, 0.5 m, one rotor after another.
+//! let half_turn = HalfTurn::from_ticks_q8(83_333 << 8).expect("10 MHz");
+//! let seen = [
+//!     (Station::B, Axis::Azimuth, 102_300),
+//!     (Station::B, Axis::Elevation, -14_620),
+//!     (Station::A, Axis::Azimuth, -70_542),
+//!     (Station::A, Axis::Elevation, 21_162),
+//! ];
+//! let mut state = State::default();
+//! let fixes: Vec<fix::Fix> = (0..).zip(seen).filter_map(|(slot, (station, axis, angle))| {
+//!     let bearing = Bearing { station, axis, angle: Angle(angle), at: Ticks(slot * 83_333), half_turn };
+//!     fix::step(&room::CONFIG.fix, &mut state, bearing)
+//! }).collect();
+//! let [fix] = fixes[..] else { panic!("the fourth angle gives the fix") };
+//! // Within 0.3 mm: 20 of 2^-16 m.
+//! let error = |axis: usize, truth: i32| fix.position[axis].abs_diff(truth);
+//! assert!(error(0, 1 << 15) <= 20 && error(1, 1 << 16) <= 20 && error(2, 1 << 15) <= 20, "{fix:?}");
+//! assert_eq!(fix.age.0, 3 * 83_333);
+//! ```
+//!
 //! What can go wrong: an angle is too old (the mote has moved since), the rays pass each other too far (one of them is
 //! a reflection), they are too close to parallel. Each means no fix, never a stale or a wild one; each is counted.
 

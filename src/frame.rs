@@ -30,6 +30,20 @@
 //! | 62..64 | reports lost: a full queue, a radio that does not answer |
 //! | 64..66 | FCS |
 //!
+//! ```
+//! use fixed::types::I16F16;
+//! use lighthouse_mote::frame::{Header, LEN, Level, Message, Reject, Report, emit, parse};
+//!
+//! let header = Header { pan: 0x4c48, mote: 7, sequence: 300 };
+//! let position = [0.5, 1.0, -0.25].map(I16F16::from_num);
+//! let report = Report { position, stations: 3, level: Level::Full, ..Report::default() };
+//! let mut frame: [u8; LEN] = emit(header, &report);
+//! assert_eq!(parse(&frame), Ok((header, Message::Fix(report))));
+//! // A bit that flips on the air is seen.
+//! frame[30] ^= 4;
+//! assert_eq!(parse(&frame), Err(Reject::Fcs));
+//! ```
+//!
 //! What can go wrong: bytes that are not ours. [`parse`] names what is off and never panics.
 
 mod angles;

@@ -11,6 +11,19 @@
 //!
 //! Little-endian, 16 bytes, on a word, once in an image.
 //!
+//! ```
+//! use lighthouse_mote::identity::{Identity, LEN, MAGIC, READS_ADDRESS, emit, parse};
+//!
+//! // What a programmer does with an image: look for the block, keep what the firmware reads, put another mote there.
+//! let built = Identity { mote: 1, pan: 0x4c48, channel: 0 };
+//! let mut image = [&[0xff; 40][..], &emit(built, READS_ADDRESS)].concat();
+//! let at = image.windows(MAGIC.len()).position(|bytes| bytes == MAGIC).expect("an image of ours");
+//! let block: &mut [u8; LEN] = (&mut image[at..at + LEN]).try_into().expect("the whole block");
+//! let (identity, reads) = parse(block).expect("of this version");
+//! *block = emit(Identity { mote: 7, ..identity }, reads);
+//! assert_eq!(parse(block), Some((Identity { mote: 7, ..built }, READS_ADDRESS)));
+//! ```
+//!
 //! What can go wrong: a compiler that knows the block's value and folds it into the code; [`Block::read`] hides the
 //! block from it, and a test boots an overwritten image.
 

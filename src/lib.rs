@@ -1,4 +1,7 @@
 //! Lighthouse positioning on a mote: light edges in, XYZ radio frames out.
+//!
+//! One module a stage, in the order of the path, and [`chain`] over all of them: start there. Every stage is
+//! `step(&config, &mut state, input) -> Option<output>`, and the page of each has an example that can be pasted.
 #![cfg_attr(not(test), no_std)]
 // The tests take the boards' queue along, which cannot do without.
 #![cfg_attr(not(test), forbid(unsafe_code))]

@@ -15,6 +15,26 @@
 //! counts the half turns knows which bits it missed ([`gap`]): words with a hole are taken from a later repetition.
 //! The CRC over all of them decides, a word of it with every word that comes, so that no bit costs much.
 //!
+//! ```
+//! use lighthouse_mote::ootx::{self, Config, FRAME_BITS, Outcome, State, gap};
+//! use sim::world::ootx::{Info, frame};
+//! use sim::world::rotor::Rotor;
+//!
+//! // What station 0xa0000001 sends, from the middle of a frame on, and every 30th flash is missed.
+//! let bits = frame(&Info { id: 0xa000_0001, ..Info::default() }.block(&Rotor::default(), &Rotor::default()));
+//! assert_eq!(bits.len(), usize::from(FRAME_BITS));
+//! let mut state = State::default();
+//! let heard = bits.iter().cycle().skip(150).take(20 * bits.len()).enumerate().find_map(|(flash, bit)| {
+//!     if flash % 30 == 29 {
+//!         gap(&mut state, 1);
+//!         return None;
+//!     }
+//!     ootx::step(&Config::DEFAULT, &mut state, *bit)
+//! });
+//! let Some(Outcome::Good(block)) = heard else { panic!("no frame in a minute") };
+//! assert_eq!((block.id(), state.bad()), (0xa000_0001, 0));
+//! ```
+//!
 //! What can go wrong: a bit is read wrong, or the block changes between two repetitions: the CRC does not fit, and
 //! everything gathered is dropped and counted. A miscounted gap moves the place in the frame: a zero then stands where a
 //! one must be, and the search for the 17 zeros starts again. Nothing but a whole frame with a right CRC comes out.

@@ -1,5 +1,17 @@
 //! Edges to pulses.
 //!
+//! ```
+//! use lighthouse_mote::edge::Edge;
+//! use lighthouse_mote::pulse::{self, State};
+//! use lighthouse_mote::time::{Span, Ticks};
+//!
+//! // A flash of 62.5 us on a clock of 10 MHz, the counter wrapping in its middle.
+//! let mut state = State::default();
+//! assert_eq!(pulse::step(&mut state, Edge::rise(Ticks(u32::MAX - 299))), None);
+//! let pulse = pulse::step(&mut state, Edge::fall(Ticks(325))).expect("the fall ends it");
+//! assert_eq!((pulse.start, pulse.width), (Ticks(u32::MAX - 299), Span(625)));
+//! ```
+//!
 //! What can go wrong: an edge is lost or doubled. Either costs at most the one pulse it belongs to, never the next,
 //! and each is counted.
 

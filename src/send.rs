@@ -9,6 +9,26 @@
 //! the next one, but hardly ever before that one's laser has passed; a slot is therefore one half turn, and the first half
 //! of the motes get every second one.
 //!
+//! ```
+//! use lighthouse_mote::send::{self, Config, State, When};
+//! use lighthouse_mote::sweep::HalfTurn;
+//! use lighthouse_mote::time::{Span, Ticks};
+//!
+//! // Eight motes in one room, a report each every eighth half turn. All see station A's frame begin in half turn 5.
+//! let config = Config { when: When::Slotted, ..Config::default() };
+//! let half_turn = HalfTurn::from_ticks_q8(83_333 << 8).expect("10 MHz");
+//! let mut motes: Vec<State> = (0..8).map(State::new).collect();
+//! let mut senders = vec![0; 40];
+//! for (number, senders) in (0..).zip(&mut senders) {
+//!     for mote in &mut motes {
+//!         // Its laser passed 4 ms after the half turn began.
+//!         let light = (Ticks(number * 83_333 + 40_000), Span(40_000), half_turn);
+//!         *senders += u32::from(send::step(&config, 8, mote, light, number == 5));
+//!     }
+//! }
+//! assert!(senders[5..].iter().all(|senders| *senders == 1), "one at a time: {senders:?}");
+//! ```
+//!
 //! What can go wrong: until the frame was seen to begin, 18 flashes without a gap, the count is the mote's own: 1.5 s on
 //! average in full light, 6 s where one flash in twenty is lost. More motes than slots: two share one for good, so `every`
 //! is to be no less than there are motes. Slots come round with the frame, at its end a little early or late.

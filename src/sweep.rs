@@ -19,6 +19,31 @@
 //! No clock rate is assumed anywhere. The search looks for two pairs of flashes whose distance is 18.3 to 24.2 times
 //! their inner gap; that distance is the half turn, and every later window is a share of it.
 //!
+//! ```
+//! use lighthouse_mote::pulse::Pulse;
+//! use lighthouse_mote::sweep::{self, Axis, Config, Light, State, Station};
+//! use lighthouse_mote::time::{Span, Ticks};
+//!
+//! // A third of a second on a clock of 10 MHz, which nobody tells the mote; both lasers pass straight ahead, for 10 us.
+//! let pulse = |start, width| Pulse { start: Ticks(start), width: Span(width) };
+//! let (mut state, mut sweeps) = (State::default(), Vec::new());
+//! for slot in 0..40 {
+//!     let (a, b) = (slot * 83_333, slot * 83_333 + 4_167);
+//!     let axis = 104 * (slot & 1);
+//!     let (skip_a, skip_b, sweeper) = if slot & 2 == 0 { (417, 0, b) } else { (0, 417, a) };
+//!     let flashes = [pulse(a, 625 + axis + skip_a), pulse(b, 625 + axis + skip_b)];
+//!     for pulse in flashes.into_iter().chain([pulse(sweeper + 41_667 - 50, 100)]) {
+//!         if let Some(Light::Sweep(sweep)) = sweep::step(&Config::DEFAULT, &mut state, pulse) {
+//!             sweeps.push(sweep);
+//!         }
+//!     }
+//! }
+//! let last = sweeps.last().expect("light enough");
+//! assert_eq!((last.station, last.axis), (Station::A, Axis::Elevation));
+//! assert!(last.since_sync.0.abs_diff(41_667) <= 1 && last.half_turn.span().0.abs_diff(83_333) <= 1);
+//! assert_eq!((sweeps.len(), state.counts().turned_away), (32, 8), "found in slot 2, sure of its place in slot 8");
+//! ```
+//!
 //! What can go wrong: flashes are lost (the cycle goes on by dead reckoning, up to [`COAST_HALF_TURNS`]),
 //! something shines between (it fits no window and is counted; of several like
 //! a sweep the longest is taken, when the slot ends), the light goes (the lock is given up and says so).

@@ -3,6 +3,17 @@
 //! The rate is in no type, because the mote does not know it: an RC oscillator is off by percents and drifts.
 //! Every conversion to an angle or to seconds goes through the measured half turn of the rotor.
 //!
+//! ```
+//! use lighthouse_mote::time::{Span, Ticks};
+//!
+//! // The counter wraps between a flash and the laser that follows it, and nobody notices.
+//! let (flash, laser) = (Ticks(u32::MAX - 20_000), Ticks(25_065));
+//! assert_eq!(laser.since(flash), Span(45_066));
+//! assert_eq!(flash.after(Span(45_066)), laser);
+//! // Of two instants less than half a wrap apart, the sign says which was first.
+//! assert_eq!(flash.offset_from(laser), -45_066);
+//! ```
+//!
 //! What can go wrong: the 32-bit counter wraps (every 6.6 min at 10.82 MHz), so instants have no order; only the
 //! length from one to another means something, and only up to one wrap.
 

@@ -4,6 +4,38 @@
 //! the mote lies in one plane through its station, and the tracker takes each plane as it comes: an extended Kalman
 //! filter over position and velocity in world coordinates, in 32-bit integers.
 //!
+//! ```
+//! use lighthouse_mote::angle::Angle;
+//! use lighthouse_mote::sweep::{Axis, Station};
+//! use lighthouse_mote::track::{self, Level, PER_HALF_TURN, State, Step, Sweep};
+//!
+//! mod room {
+//!     // What build.rs made of calib/default.toml.
+//!     include!(concat!(env!("OUT_DIR"), "/calib.rs"));
+//! }
+//!
+//! // A fix that is 3 cm off begins the track; what the stations see at 0.5, 1.0, 0.5 m mends it.
+//! let (config, room) = (&room::CONFIG.track, &room::CONFIG.room);
+//! let truth = [1 << 15, 1 << 16, 1 << 15];
+//! let mut state = State::default();
+//! assert!(track::start(config, room, &mut state, [truth[0], truth[1], truth[2] + 1966], 66));
+//! let sweep = |station, axis, angle| Sweep { station, axis, angle: Angle(angle), elapsed: PER_HALF_TURN as u16 };
+//! let cycle = [
+//!     sweep(Station::B, Axis::Azimuth, 102_300),
+//!     sweep(Station::B, Axis::Elevation, -14_620),
+//!     sweep(Station::A, Axis::Azimuth, -70_542),
+//!     sweep(Station::A, Axis::Elevation, 21_162),
+//! ];
+//! for sweep in cycle.iter().cycle().take(240) {
+//!     assert_eq!(track::step(config, room, &mut state, sweep), Step::Believed);
+//! }
+//! let found = track::report(config, &state, 0);
+//! assert_eq!(found.level, Level::Full);
+//! assert!((0..3).all(|axis| found.position[axis].abs_diff(truth[axis]) <= 66), "1 mm: {found:?}");
+//! // The same sweep by way of a mirror.
+//! assert_eq!(track::step(config, room, &mut state, &sweep(Station::B, Axis::Azimuth, 142_300)), Step::Refused);
+//! ```
+//!
 //! # Design
 //! - Given the measured tangent x, the plane `(r1 - x r3) . (p - station) = 0` is linear in p: the step is exact
 //!   however far off the estimate is, and only the weight depends on it.

@@ -4,6 +4,19 @@
 //! happen, and goes on. While the core sleeps it jumps from one such moment to the next, so a mote that mostly sleeps
 //! costs almost nothing to watch.
 //!
+//! ```
+//! use sim::machine::{Config, Machine, NoDevices};
+//!
+//! // `adds r0, r0, r1` and `bx lr` at 0x100, a stack that ends at 0x2000_1000.
+//! let mut machine = Machine::new(Config::default(), NoDevices);
+//! machine.write_bytes(0, &0x2000_1000u32.to_le_bytes()).expect("code RAM");
+//! machine.write_bytes(0x100, &[0x40, 0x18, 0x70, 0x47]).expect("code RAM");
+//! machine.reset();
+//! let cost = machine.call(0x101, &[2, 3])?;
+//! assert_eq!((cost.r0, cost.instructions, cost.cycles, cost.stack_bytes), (5, 2, 4, 0));
+//! # Ok::<(), sim::machine::CallError>(())
+//! ```
+//!
 //! What can go wrong is said by [`Stop`]. By default a fault of the program stops the machine where it happened, since
 //! firmware for the mote has no business in HardFault.
 

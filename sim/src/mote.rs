@@ -2,6 +2,25 @@
 //!
 //! Light goes in as edges at exact cycles, frames and log bytes come out with theirs.
 //!
+//! ```
+//! use std::num::NonZeroU32;
+//!
+//! use sim::mote::{Load, Mote};
+//!
+//! // `Mote::boot` takes the ELF that is flashed. This image writes an L to the UART at 0x5100_0000 and sleeps.
+//! let mut image = [0; 0xcc];
+//! image[..8].copy_from_slice(&[0x00, 0x10, 0x00, 0x20, 0xc1, 0x00, 0x00, 0x00]);
+//! image[0xc0..].copy_from_slice(&[0x01, 0x48, 0x4c, 0x21, 0x01, 0x60, 0x30, 0xbf, 0x00, 0x00, 0x00, 0x51]);
+//! let mut mote = Mote::boot_image(&image, NonZeroU32::new(5_000_000).expect("5 MHz"))?;
+//! // Light comes on after a millisecond; nobody listens. Then a second goes by.
+//! mote.push_edge(5_000, true)?;
+//! mote.run_until(5_000_000)?;
+//! assert_eq!(mote.take_log(), b"L");
+//! assert_eq!(mote.take_frames().count(), 0);
+//! assert!(mote.load().percent_since(&Load::default()) < 0.01);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! What can go wrong: the firmware faults, locks up or resets. The run stops there and says where and why.
 
 use std::num::NonZeroU32;

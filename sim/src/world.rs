@@ -4,6 +4,24 @@
 //! and knows the truth behind each. Everything is lazy: a slot of 8.3 ms is computed when its first edge is due, so
 //! 24 h of light take no more memory than one slot.
 //!
+//! ```
+//! use sim::world::path::Path;
+//! use sim::world::{EventKind, Scene, World};
+//!
+//! // A second of a mote that lies still before two perfect stations.
+//! let still = Path::Still { at_m: [0.5, 1.0, 0.7] };
+//! let scene = Scene { path: still, length_s: 1.0, ..Scene::default() }.without_noise();
+//! let mut world = World::new(&scene, 7);
+//! world.keep_log();
+//! let edges: Vec<_> = world.edges().collect();
+//! // 120 half turns of two flashes and a sweep, less what the last one still holds.
+//! assert!((715..=720).contains(&edges.len()), "{}", edges.len());
+//! assert!(edges.windows(2).all(|pair| pair[0].cycle < pair[1].cycle && pair[0].level != pair[1].level));
+//! assert_eq!(world.truth(edges[0].cycle), [0.5, 1.0, 0.7]);
+//! let sweeps = world.take_log().iter().filter(|event| matches!(event.kind, EventKind::Sweep { .. })).count();
+//! assert!((119..=120).contains(&sweeps), "{sweeps}");
+//! ```
+//!
 //! # Design
 //! Light is made in true seconds and only the finished edge is put on the mote's clock, so no error of the clock can
 //! leak into the physics. A source of light pushes pulses that start in the slot at hand; the receiver spoils each on

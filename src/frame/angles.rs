@@ -15,6 +15,21 @@
 //! | 4 | bit 0: station B; bit 1: elevation |
 //! | 5..8 | time since the station's flash as a share of the half turn, 2^20 units: half of that is straight ahead |
 //!
+//! ```
+//! use lighthouse_mote::frame::{ANGLES_LEN, Angles, Header, Measured, Message, emit_angles, parse};
+//! use lighthouse_mote::sweep::{Axis, Station};
+//!
+//! let header = Header { pan: 0x4c48, mote: 7, sequence: 302 };
+//! let mut angles = Angles { half_turn_q8: 90_167 << 8, ..Angles::default() };
+//! // Straight ahead is half of 2^20.
+//! let ahead = Measured { time: 1_000, station: Station::B, axis: Axis::Elevation, share: 1 << 19 };
+//! angles.sweeps.push(ahead).expect("room for eight");
+//! let mut bytes = [0; ANGLES_LEN];
+//! let frame = emit_angles(header, &angles, &mut bytes);
+//! assert_eq!(frame.len(), 21 + 8 + 2);
+//! assert_eq!(parse(frame), Ok((header, Message::Angles(angles))));
+//! ```
+//!
 //! What can go wrong: a share beyond 24 bits, 16 half turns, is no sweep; it saturates. The length tells how many sweeps
 //! there are, and no other length is taken.
 

@@ -31,6 +31,18 @@
 //! Every count is since start-up and wraps. Rates are for the listener to make: two frames' counts over their uptimes.
 //! A flash comes 120 times a second, a rotor sweeps 30 times.
 //!
+//! ```
+//! use lighthouse_mote::frame::{HEALTH_LEN, Header, Health, Lock, Message, emit_health, parse};
+//!
+//! let header = Header { pan: 0x4c48, mote: 7, sequence: 301 };
+//! let health = Health { uptime: 60, half_turn_q8: 90_167 << 8, lock: Lock::Locked, ..Health::default() };
+//! let frame: [u8; HEALTH_LEN] = emit_health(header, &health);
+//! let Ok((_, Message::Health(told))) = parse(&frame) else { panic!("a health frame") };
+//! assert_eq!(told, health);
+//! // 120 half turns are a second: the clock runs at 10.82 MHz.
+//! assert_eq!(f64::from(told.half_turn_q8) / 256.0 * 120.0, 10_820_040.0);
+//! ```
+//!
 //! What can go wrong: codes that mean nothing; they are refused.
 
 use super::{Aligned, Header, Reader, Reject, Writer, code, envelope, seal};

@@ -16,6 +16,22 @@
 //! The nonce is the mote's extended address, the counter and the level (7.6.3.2). Motes have short addresses; the extended
 //! one is made of PAN and mote id, [`address`], so that no two motes of a room use a nonce twice.
 //!
+//! ```
+//! use lighthouse_mote::frame::secured::{Key, OVERHEAD, Open};
+//! use lighthouse_mote::frame::{Aligned, Header, LEN, Report, emit_into};
+//!
+//! let key = Key::new(b"sixteen bytes ..");
+//! let mut frame = Aligned::BLANK;
+//! emit_into(&mut frame, Header { pan: 0x4c48, mote: 7, sequence: 0 }, &Report::default());
+//! let plain = frame;
+//! assert!(key.seal(&mut frame, 1024));
+//! assert_eq!(frame.bytes().len(), LEN + OVERHEAD);
+//!
+//! let (claim, opened) = key.open(frame.bytes()).expect("made with this key");
+//! assert_eq!((claim.mote, claim.counter, opened), (7, 1024, plain));
+//! assert_eq!(Key::new(b"another key .. .").open(frame.bytes()), Err(Open::Forged));
+//! ```
+//!
 //! What can go wrong: two motes with one id, or a mote whose counter starts again, use a nonce twice; the second frame is
 //! then refused as replayed, and whoever hears both learns what helps to forge one. A forger who guesses is right once in
 //! 2^32 frames, 50 days of a channel that carries nothing else.

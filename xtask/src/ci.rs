@@ -36,12 +36,15 @@ const BOARDS: [Board; 5] = [
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },
 ];
 
-/// Runs formatting, lints, tests, the bench, the claims, the scenes, the calibration's oracle and the fuzzer, and closes with how many passed.
+/// Runs formatting, lints, documentation, tests, the bench, the claims, the scenes, the calibration's oracle and the fuzzer, and closes with how many passed.
 pub(crate) fn ci() -> Result<()> {
     let mut tally = Tally::default();
     tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
     tally.check("lints for this computer", || {
         run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]))
+    });
+    tally.check("every public item documented, every link of it whole", || {
+        run(cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
     });
     for board in &BOARDS {
         tally.check(&format!("lints for {}", board.feature), || lint(board));

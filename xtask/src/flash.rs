@@ -61,7 +61,7 @@ pub struct Arguments {
     /// The room to bake into the motes; another room is another build [default: calib/default.toml]
     #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
     pub calib: Option<PathBuf>,
-    /// The mote's id [default: the one under [mote] in the room]
+    /// The mote's id [default: the one under `[mote]` in the room]
     #[arg(long, value_name = "N", value_parser = tray::id)]
     pub id: Option<u16>,
     /// A tray of motes, one after the other: 1..20, both ends meant, or a list like 3,7,9..12

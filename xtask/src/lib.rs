@@ -2,7 +2,7 @@
 //!
 //! A run goes one way: [`recording`] reads what a real mote once saw, [`light`] rebuilds the edges
 //! that the stations must have sent, the virtual mote answers with fixes, [`score`] holds them
-//! against the truth and against [`reference`], and [`output`] writes it all down, with the help
+//! against the truth and against [`mod@reference`], and [`output`] writes it all down, with the help
 //! of [`svg`] and [`pcap`].
 //!
 //! [`flash`] is the other way out: from a build to a chip. [`listen`] is the way back in: from the air to the desk.

@@ -5,6 +5,19 @@
 //!
 //! A scene file names what differs from the default; a station named in it must bring its pose.
 //!
+//! ```
+//! use sim::world::Scene;
+//! use sim::world::scene::Unfit;
+//!
+//! let scene: Scene = toml::from_str("[receiver]\nsync_dropout = 0.05")?;
+//! assert_eq!(scene.receiver.sync_dropout, 0.05);
+//! assert_eq!(scene.station_a, Scene::default().station_a);
+//!
+//! let beyond: Scene = toml::from_str("[receiver]\nsync_dropout = 5")?;
+//! assert_eq!(beyond.check(), Err(Unfit("a dropout is not within 0 to 1")));
+//! # Ok::<(), toml::de::Error>(())
+//! ```
+//!
 //! What can go wrong: numbers that describe no room; [`Scene::check`] refuses them and says which.
 
 use serde::{Deserialize, Serialize};

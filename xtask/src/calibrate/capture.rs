@@ -161,7 +161,7 @@ fn tap(data: &[u8]) -> Option<Tap<'_>> {
     Some(tap)
 }
 
-/// A TAP header for a frame with its check sequence: the counterpart of [`tap`].
+/// A TAP header for a frame with its check sequence: the counterpart of `tap`.
 #[must_use]
 pub fn tap_header(rssi_dbm: Option<f32>, lqi: Option<u8>) -> Vec<u8> {
     let mut header = vec![0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0];

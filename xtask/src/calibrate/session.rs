@@ -38,7 +38,7 @@ pub struct Measured {
     pub sightings: Vec<Sighting>,
 }
 
-/// The rotors, in the order of [`rotor`].
+/// The rotors, station by station, azimuth before elevation.
 pub const ROTORS: [&str; 4] = ["A az", "A el", "B az", "B el"];
 /// Silence after which a person is told, of wall time.
 const SILENCE: Duration = Duration::from_secs(5);

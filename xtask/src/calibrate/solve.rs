@@ -1,9 +1,9 @@
 //! From sweeps and truth to the poses of two stations, in double precision, without a first guess.
 //!
 //! Angles say how things lie to each other in a station's view; truth says where the mote was. This finds, in this
-//! order: what the two clocks differ by ([`offset`]), where each station is by trying all ways it could be turned
-//! ([`pose`]), and then everything at once with outliers weighed down ([`refine`]). Factory terms are fitted only as
-//! far as they make sweeps predictable that were left out of the fit ([`held_out`]).
+//! order: what the two clocks differ by (`offset`), where each station is by trying all ways it could be turned
+//! (`pose`), and then everything at once with outliers weighed down (`refine`). Factory terms are fitted only as
+//! far as they make sweeps predictable that were left out of the fit (`held_out`).
 //!
 //! # What can go wrong
 //! The input may not hold what is asked of it: see [`Trouble`]. Every figure of a [`Solution`] that tells how good it

@@ -1,7 +1,7 @@
 //! Where motion capture says the mote was.
 //!
 //! Two kinds of file: a table with the columns `time_s, x_m, y_m, z_m` (or `x_mm, y_mm, z_mm`), and what OptiTrack's
-//! Motive exports, which [`motive`](super::motive) reads. Blank coordinates are moments at which the mote was lost: they
+//! Motive exports, which `motive` reads. Blank coordinates are moments at which the mote was lost: they
 //! give no sample, and nothing is put in their place.
 //!
 //! What can go wrong: a column missing or doubled, a cell that is no number, a row half blank, time that does not go

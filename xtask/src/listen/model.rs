@@ -10,7 +10,7 @@
 //! the sequence are losses, until a late frame fills them.
 //!
 //! Who speaks is told by more than the mote id, for somebody will flash two motes alike. Frames of one id whose sequences
-//! or clocks do not continue each other are separate [`Voice`]s. When the older voice is heard again after the newer one,
+//! or clocks do not continue each other are separate voices. When the older voice is heard again after the newer one,
 //! there are two motes and both are flagged; when it falls silent, the mote has started anew.
 //!
 //! What can go wrong: more motes than fit; the one that was silent longest is forgotten. Memory does not grow.

@@ -10,7 +10,7 @@
 //! grow.
 //!
 //! Any page in a browser may send requests to this computer. Names that another page could have pointed here are
-//! refused ([`may_ask`]), and no answer may be read by another page.
+//! refused (`may_ask`), and no answer may be read by another page.
 //!
 //! What can go wrong: the port is taken. One that was asked for is an error; instead of the usual one a free one is used.
 

@@ -38,9 +38,15 @@ pub struct Dma {
 /// The devices of a chip: memory-mapped registers, interrupt lines, and their own future.
 pub trait Bus {
     /// Reads a register at `cycle`.
+    ///
+    /// # Errors
+    /// Nobody answers there, or not in this width, or what the chip would do is not known.
     fn read(&mut self, address: u32, size: Size, cycle: u64) -> Result<u32, BusFault>;
 
     /// Writes a register at `cycle`.
+    ///
+    /// # Errors
+    /// As for [`Bus::read`].
     fn write(&mut self, address: u32, size: Size, value: u32, cycle: u64) -> Result<(), BusFault>;
 
     /// The levels of the 32 external interrupt lines now, bit n for IRQ n. A line that is high keeps its interrupt

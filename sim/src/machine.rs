@@ -190,6 +190,9 @@ impl<B: Bus> Machine<B> {
     }
 
     /// Puts a program into memory as a programmer does, at its load addresses, and resets.
+    ///
+    /// # Errors
+    /// No executable for this core, or one that wants memory where there is none; nothing was written then.
     pub fn load_elf(&mut self, file: &[u8]) -> Result<Symbols, LoadError> {
         let program = elf::read(file)?;
         for segment in &program.segments {
@@ -270,6 +273,9 @@ impl<B: Bus> Machine<B> {
     ///
     /// It runs in Thread mode below the stack as it is now, with interrupts masked. Registers are as before
     /// afterwards; memory, devices and time have moved on.
+    ///
+    /// # Errors
+    /// More than four arguments, or the function did not come back within [`Machine::call_limit`] cycles.
     pub fn call(&mut self, address: u32, arguments: &[u32]) -> Result<Call, CallError> {
         if arguments.len() > 4 {
             return Err(CallError::TooManyArguments);

@@ -201,6 +201,9 @@ impl Scum3c {
     }
 
     /// Queues a change of the optical level to happen at `cycle`, which must be later than that of the edge before.
+    ///
+    /// # Errors
+    /// It is not, or already past.
     pub fn push_edge(&mut self, cycle: u64, level: bool) -> Result<(), EdgeError> {
         self.gpio.push_edge(cycle, level, self.now)?;
         self.schedule();

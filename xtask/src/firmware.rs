@@ -3,6 +3,7 @@
 //! What can go wrong: the calibration cannot be read or represented (said before anything is built), or the build
 //! fails (cargo says why).
 
+use std::env;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -18,15 +19,19 @@ use crate::setup;
 /// The room that is baked when nobody names one.
 pub(crate) const DEFAULT_CALIB: &str = "calib/default.toml";
 
+/// Lines that the build takes before those under `[mote]`.
+const MOTE: &str = "LIGHTHOUSE_MOTE";
+
 /// Reads a calibration and makes sure that it can be baked.
 pub(crate) fn room(calib: &Path) -> Result<Calibration> {
-    let calibration = calib::schema::open(calib)?;
+    let mut calibration = calib::schema::open(calib)?;
+    calibration.mote = calibration.mote.with(MOTE, &env::var(MOTE).unwrap_or_default())?;
     calib::firmware::bake(&calib.display().to_string(), &calibration)?;
     Ok(calibration)
 }
 
-/// Builds the SCuM-3C image for the room in `calib`, with the lines of `mote` in place of those under its `[mote]`;
-/// returns the ELF file's bytes.
+/// Builds the SCuM-3C image for the room in `calib`, with the lines of `mote`, then those of the environment, in place of
+/// those under its `[mote]`; returns the ELF file's bytes.
 pub(crate) fn scum3c(calib: &Path, mote: &str) -> Result<Vec<u8>> {
     read(&build("scum3c", calib, mote)?)
 }
@@ -74,13 +79,21 @@ pub(crate) fn build_for(
     run: fn(&mut Command) -> Result<()>,
 ) -> Result<PathBuf> {
     setup::target(target)?;
-    let keyed = calib::schema::open(calib)?.mote.with("LIGHTHOUSE_MOTE", mote)?.key.is_some()
-        || trust::key_of_environment()?.is_some();
+    let mote = &before(&env::var(MOTE).unwrap_or_default(), mote)?;
+    let keyed =
+        calib::schema::open(calib)?.mote.with(MOTE, mote)?.key.is_some() || trust::key_of_environment()?.is_some();
     let features = if keyed { format!("{name},security") } else { name.to_string() };
     let arguments = ["build", "--release", "--bin", name, "--features", &features, "--target", target];
     let calib = calib.canonicalize().with_context(|| calib.display().to_string())?;
-    run(cargo(&arguments).env("LIGHTHOUSE_CALIB", &calib).env("LIGHTHOUSE_MOTE", mote))?;
+    run(cargo(&arguments).env("LIGHTHOUSE_CALIB", &calib).env(MOTE, mote))?;
     Ok(target_dir()?.join(target).join("release").join(name))
+}
+
+/// The lines of `own`, and of `others` those whose names it has not.
+fn before(others: &str, own: &str) -> Result<String> {
+    let mut lines: toml::Table = toml::from_str(others).map_err(|error| anyhow!("{MOTE}: {}", error.message()))?;
+    lines.extend(toml::from_str::<toml::Table>(own)?);
+    Ok(lines.to_string())
 }
 
 /// Where cargo builds, which the user may have moved.
@@ -92,4 +105,18 @@ fn target_dir() -> Result<PathBuf> {
         serde_json::from_slice(&answer.stdout).context("cannot understand where cargo builds")?;
     let folder = metadata["target_directory"].as_str().ok_or_else(|| anyhow!("cargo does not say where it builds"))?;
     Ok(PathBuf::from(folder))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::before;
+
+    #[test]
+    fn what_the_environment_says_of_a_mote_counts_unless_a_verb_says_otherwise() {
+        assert_eq!(before("", "").unwrap(), "");
+        let lines = before("estimate = \"angles\"\nsend = \"steady\"", "send = \"slotted\"").unwrap();
+        assert_eq!(lines, "estimate = \"angles\"\nsend = \"slotted\"\n");
+        let wrong = before("estimate = angles", "").unwrap_err().to_string();
+        assert!(wrong.starts_with("LIGHTHOUSE_MOTE: "), "{wrong}");
+    }
 }

@@ -445,7 +445,8 @@ pub enum View {
 /// What is known, in lines.
 #[must_use]
 pub fn lines(all: &Snapshot) -> String {
-    let rate: f64 = all.motes.iter().map(|mote| mote.fixes_per_s).sum();
+    // Not `sum`, which is -0 of nothing.
+    let rate = all.motes.iter().fold(0.0, |rate, mote| rate + mote.fixes_per_s);
     let lost: u64 = all.motes.iter().map(|mote| mote.lost).sum();
     let mut text = format!(
         "{:8.1} s  {} motes  {rate:.1} fixes/s  {lost} lost  {}\n",

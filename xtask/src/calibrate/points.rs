@@ -35,6 +35,14 @@ const APART_M: f64 = 0.005;
 /// and its phases cannot be told apart.
 const DEPTH_M: f64 = 0.01;
 
+/// A list for somebody who has none.
+const EXAMPLE: &str = "\
+[[sheet]]                  # the corners of a sheet of A4: on the table, and on a box of 10 cm
+name = \"A4\"
+size = [0.297, 0.210]      # metres
+heights = [0.0, 0.1]
+";
+
 /// A known place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
@@ -83,6 +91,7 @@ struct Sheet {
 /// Reads a list of places.
 pub fn open(path: &Path) -> Result<Points> {
     let name = path.display().to_string();
+    ensure!(path.exists(), "{name}: there is no such list of places; one to begin with:\n\n{EXAMPLE}");
     let text = std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
     read(&name, &text)
 }
@@ -177,6 +186,13 @@ fn depth(points: &[Point]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_has_no_list_is_shown_one_that_serves() {
+        let error = open(Path::new("no/points.toml")).unwrap_err().to_string();
+        assert!(error.starts_with("no/points.toml: there is no such list") && error.ends_with(EXAMPLE), "{error}");
+        assert_eq!(read("example", EXAMPLE).unwrap().points.len(), 8);
+    }
 
     const DESK: &str = "\
 seconds = 2

@@ -127,7 +127,7 @@ pub fn draw(frame: &mut Frame<'_>, all: &Snapshot, notes: &[String], first: usiz
 
 fn head(all: &Snapshot) -> Line<'static> {
     let heard = all.motes.iter().filter(|mote| mote.silent_s < SILENT_S).count();
-    let rate: f64 = all.motes.iter().map(|mote| mote.fixes_per_s).sum();
+    let rate = all.motes.iter().fold(0.0, |rate, mote| rate + mote.fixes_per_s);
     let open = all.sources.iter().filter(|source| source.state == SourceState::Open).count();
     let mut spans = vec![
         Span::styled(" listen ", Style::new().add_modifier(Modifier::REVERSED)),

@@ -249,6 +249,17 @@ fn a_damaged_capture_is_heard_up_to_the_damage() {
     assert!(all.sources[0].note.contains("neither pcap nor pcapng"), "{}", all.sources[0].note);
 }
 
+#[test]
+fn a_file_that_is_no_capture_is_an_error_before_anything_is_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in [("picture.gif", &b"GIF89a, not a capture"[..]), ("empty.pcap", b"")] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        let error = source::read(Bench::new().desk.clone(), &path).unwrap_err().to_string();
+        assert!(error.starts_with(path.to_str().unwrap()) && error.ends_with("neither pcap nor pcapng"), "{error}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
     #[test]

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,7 +14,7 @@ use std::sync::mpsc::SyncSender;
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use serialport::SerialPortInfo;
 
 use super::model::{self, Cause, Shared, Signal, SourceId, SourceState};
@@ -22,6 +22,9 @@ use super::receiver::{Item, Kind};
 use crate::calibrate::capture::{self, Record};
 use crate::flash::line::{Line, Trouble};
 use crate::flash::port::{self, SEGGER};
+
+/// How captures begin, in either order of bytes: pcap with microseconds, with nanoseconds, pcapng.
+const MAGIC: [u32; 5] = [0xa1b2_c3d4, 0xd4c3_b2a1, 0xa1b2_3c4d, 0x4d3c_b2a1, 0x0a0d_0d0a];
 
 /// What a source says.
 #[derive(Debug, Clone, PartialEq)]
@@ -186,13 +189,21 @@ pub fn listen_to_all(desk: Desk, channel: u8) {
 /// Reads a capture, `-` for the standard input, as fast as it comes; its times are the capture's own.
 ///
 /// # Errors
-/// It cannot be opened.
+/// It cannot be opened, or is a file that is no capture.
 pub fn read(desk: Desk, path: &Path) -> Result<()> {
     let name = path.display().to_string();
     let from: Box<dyn Read + Send> = if name == "-" {
         Box::new(std::io::stdin())
     } else {
-        Box::new(File::open(path).with_context(|| format!("{name}: cannot be read"))?)
+        let mut file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
+        // A pipe is not looked into before its time.
+        if file.metadata().is_ok_and(|about| about.is_file()) {
+            let mut magic = [0; 4];
+            let is_capture = file.read_exact(&mut magic).is_ok() && MAGIC.contains(&u32::from_le_bytes(magic));
+            ensure!(is_capture, "{name}: is neither pcap nor pcapng");
+            file.rewind().with_context(|| format!("{name}: cannot be read"))?;
+        }
+        Box::new(file)
     };
     read_from(desk, name, from);
     Ok(())

@@ -56,7 +56,9 @@ impl Table {
         let file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
         let bytes = file.metadata().with_context(|| format!("{name}: cannot be read"))?.len();
         let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(file);
-        let header = reader.headers().map_err(|error| anyhow!("{name}:1: {error}"))?;
+        let header = reader
+            .headers()
+            .map_err(|error| anyhow!("{name}:1: {error}; wanted is a table in CSV with {}", COLUMNS.join(" and ")))?;
         ensure!(!header.is_empty(), "{name}: the file is empty");
         let mut places = [0; 2];
         for (place, column) in places.iter_mut().zip(COLUMNS) {

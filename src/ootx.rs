@@ -45,7 +45,7 @@ pub use block::{BLOCK_BYTES, Block, Half, Terms};
 
 /// Zeros before the one that starts a frame.
 pub const PREAMBLE_ZEROS: u8 = 17;
-/// Bits of a frame, preamble included.
+/// Bits of a frame, preamble included: 18 + 17 + 17 x 17 + 2 x 17, as above.
 pub const FRAME_BITS: u16 = 358;
 
 /// Words of the block, its padding included.

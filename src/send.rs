@@ -62,7 +62,8 @@ pub enum When {
     Slotted,
 }
 
-/// The half turn of `every` that is a mote's own: 0, 2, 4 .. for the first half of them, then 1, 3, 5 ..
+/// The half turn of `every` that is a mote's own, below `every`: 0, 2, 4 .. for the first half of them, then 1, 3, 5 ..
+/// Of no half turns at all it is the first.
 #[must_use]
 #[inline]
 pub const fn slot(mote: u16, every: u16) -> u16 {

@@ -43,7 +43,7 @@ pub const LEAST: f64 = 1.0 / 8.0;
 /// Entries of the table of weights.
 pub const WEIGHTS: usize = 128;
 
-/// x * image x + y * image y + one.
+/// x * image x + y * image y + one, in the Q format of whatever takes it; image x and y are Q15 tangents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Linear {
     /// Multiplies x.

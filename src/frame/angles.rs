@@ -38,7 +38,7 @@ use heapless::Vec;
 use super::{Aligned, Header, Reader, Reject, Writer, envelope, seal};
 use crate::sweep::{Axis, Station, Sweep};
 
-/// Sweeps in a frame, at most.
+/// Sweeps in a frame, at most: two cycles of the four rotors, in 87 bytes of the 127 that a frame may have.
 pub const ANGLES: usize = 8;
 /// Bytes before the sweeps.
 const BEFORE: usize = 21;

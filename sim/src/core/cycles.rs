@@ -39,11 +39,12 @@ pub(crate) const SPECIAL_REGISTER: u32 = 4;
 pub(crate) const BARRIER: u32 = 4;
 pub(crate) const WAIT: u32 = 2;
 
-/// From an interrupt being noticed to the first instruction of its handler.
+/// Cycles from an interrupt being noticed to the first instruction of its handler, by the manual.
 pub const EXCEPTION_ENTRY: u32 = 16;
-/// From the end of the returning instruction to the instruction that was interrupted.
+/// Cycles from the end of the returning instruction to the instruction that was interrupted: an estimate, as above.
 pub const EXCEPTION_RETURN: u32 = 10;
-/// From the end of the returning instruction to the next handler, when the frame stays on the stack.
+/// Cycles from the end of the returning instruction to the next handler, when the frame stays on the stack: an estimate,
+/// as above.
 pub const TAIL_CHAIN: u32 = 6;
 
 pub(crate) const fn multiple(registers: u32) -> u32 {

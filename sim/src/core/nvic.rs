@@ -7,7 +7,7 @@
 //! pending bit is cleared outside its handler, pends again at once; a pulse shorter than one look at the lines stays
 //! pending, as on silicon.
 
-/// The number of the non-maskable interrupt.
+/// The number of the non-maskable interrupt (ARMv6-M ARM, B1.5.2, as all of these).
 pub const NMI: u8 = 2;
 /// The number of HardFault.
 pub const HARD_FAULT: u8 = 3;

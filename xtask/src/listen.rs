@@ -51,7 +51,7 @@ pub struct Arguments {
     /// What is behind these ports [default: what USB says, or an nRF Sniffer]
     #[arg(long, value_name = "KIND")]
     receiver: Option<Kind>,
-    /// IEEE 802.15.4 channel, 11 to 26
+    /// IEEE 802.15.4 channel, 11 to 26: the one that the motes were flashed with; an nRF52840 sends on 26 unless told
     #[arg(long, default_value_t = 11, value_parser = clap::value_parser!(u8).range(11..=26))]
     channel: u8,
     /// A capture, pcap or pcapng, of link type 195, 230 or 283; `-` is the standard input

@@ -1,7 +1,7 @@
 //! What the stations say of themselves, out of the flashes of the sightings.
 //!
-//! What can go wrong: flashes are missed. How many is known from the time between those that were seen, where that is told
-//! to half a half turn; the CRC decides.
+//! What can go wrong: flashes are missed. The time between those that were seen tells how many; the CRC tells whether
+//! that was right.
 
 use super::{Flashes, Seen, Sighting};
 use crate::sweep::{HalfTurn, Station};
@@ -35,7 +35,8 @@ pub(super) struct Known {
 }
 
 impl Ears {
-    /// Takes one sighting; `told` is given every block that it completes. [`Solver::step`](super::Solver::step) does the same within.
+    /// Takes one sighting; `told` is given every block that it completes. [`Solver::step`](super::Solver::step) does the
+    /// same within.
     pub fn hear(&mut self, config: &ootx::Config, sighting: &Sighting, told: impl FnMut(Station, &ootx::Block)) {
         if sighting.seen == Seen::Lost {
             self.forget();

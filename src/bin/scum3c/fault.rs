@@ -1,6 +1,7 @@
 //! How this chip goes down: a panic, a fault, an exception that has no handler.
 //!
-//! What can go wrong: the panic is one of the log's own; its last words then say less than they should.
+//! What can go wrong: a panic while the log is taken. It logs once more, and the log leaves the breadcrumb, of
+//! [`Kind::Log`].
 
 use core::panic::PanicInfo;
 

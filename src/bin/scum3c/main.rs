@@ -110,8 +110,8 @@ mod app {
         defmt::info!("lighthouse mote {=u16:#06x}, image {}, last crash {}", identity.mote, image, last);
         crate::watchdog::watch();
 
-        let (capture, pulses) = capture::start();
         let reset = if image == Image::Damaged { (Reset::Image, 0) } else { crash::Crash::told(last) };
+        let (capture, pulses) = capture::start();
         let (classify, solve, frames) = cx.local.queues.wire(pulses, reset);
         #[cfg(feature = "security")]
         let solve = solve.under(crate::mote::room::KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));

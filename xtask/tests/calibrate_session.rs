@@ -1,6 +1,7 @@
 //! A guided session at a terminal, broken off and taken up again, in a simulated room and with a mote in the air.
 #![cfg(unix)]
 
+mod pty;
 #[path = "calibrate/terminal.rs"]
 mod terminal;
 
@@ -28,6 +29,11 @@ use xtask::pcap;
 
 const DESK: &str = "seconds = 1\n[[point]]\nname = \"lamp\"\nposition = [0.4, 0.1, 0.3]\n\
     [[sheet]]\nname = \"A4\"\nsize = [0.297, 0.210]\nheights = [0.0, 0.15]\n";
+/// The same, so slow that no place is finished before it is broken off.
+fn slow() -> String {
+    DESK.replace("seconds = 1\n", "seconds = 600\n")
+}
+
 /// Places in it.
 const PLACES: usize = 9;
 
@@ -77,14 +83,19 @@ fn measure(terminal: &mut Terminal, place: usize) {
 
 #[test]
 fn a_session_that_is_killed_goes_on_where_it_was() {
-    for signal in ["INT", "KILL"] {
+    // As Ctrl-C does; that signal itself is ignored where the tests were started in the background.
+    for signal in ["TERM", "KILL"] {
         let desk = Desk::new(DESK);
         let mut terminal = desk.sit_down(&["--simulate"]);
         measure(&mut terminal, 1);
         measure(&mut terminal, 2);
+        terminal.until("place 3 of");
+        terminal.kill("KILL");
         let before = desk.kept("simulated");
         assert_eq!(before.len(), 2);
         // In the middle of the third.
+        fs::write(&desk.points, slow()).expect("the list");
+        let mut terminal = desk.sit_down(&["--simulate"]);
         terminal.until("place 3 of");
         terminal.press("\n");
         terminal.until("A az");
@@ -92,6 +103,7 @@ fn a_session_that_is_killed_goes_on_where_it_was() {
         assert_eq!(desk.kept("simulated"), before, "{signal}: what is done is there and whole, and nothing else");
         assert!(!desk.room.exists() && !desk.home.path().join("out/report.html").exists());
 
+        fs::write(&desk.points, DESK).expect("the list");
         let mut terminal = desk.sit_down(&["--simulate"]);
         terminal.until("2 of them are there from before");
         (3..=PLACES).for_each(|place| measure(&mut terminal, place));
@@ -109,12 +121,12 @@ fn a_session_that_is_killed_goes_on_where_it_was() {
 }
 
 #[test]
-fn ctrl_c_at_the_question_loses_nothing() {
+fn a_session_that_is_killed_at_the_question_loses_nothing() {
     let desk = Desk::new(DESK);
     let mut terminal = desk.sit_down(&["--simulate"]);
     measure(&mut terminal, 1);
     terminal.until("place 2 of");
-    terminal.kill("INT");
+    terminal.kill("TERM");
     let mut terminal = desk.sit_down(&["--simulate"]);
     terminal.until("1 of them are there from before");
     terminal.until("place 2 of");
@@ -235,7 +247,7 @@ fn a_mote_that_sends_its_angles_is_led_to_the_places_and_finds_the_stations() {
         measure(&mut terminal, place);
         if place == 4 {
             terminal.until("place 5 of");
-            terminal.kill("INT");
+            terminal.kill("TERM");
             terminal = desk.sit_down(&frames);
             terminal.until("4 of them are there from before");
         }

@@ -352,10 +352,9 @@ fn what_is_off_is_marked_and_what_is_not_ours_is_left_alone() {
 
 /// What Wireshark must be told to check the frames of `motes` under `key`: the key, and the extended address of each.
 fn secrets(key: &[u8; 16], header: &[Header]) -> Vec<String> {
-    let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
-    let key = format!(r#"uat:ieee802154_keys:"{}","0","No hash""#, hex(key));
+    let key = format!(r#"uat:ieee802154_keys:"{}","0","No hash""#, hex::encode(key));
     let address = |Header { pan, mote, .. }: &Header| {
-        format!(r#"uat:802154_addresses:"{mote:x}","{pan:x}",{}"#, hex(&secured::address(*pan, *mote)))
+        format!(r#"uat:802154_addresses:"{mote:x}","{pan:x}",{}"#, hex::encode(secured::address(*pan, *mote)))
     };
     std::iter::once(key).chain(header.iter().map(address)).collect()
 }

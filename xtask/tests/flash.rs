@@ -3,11 +3,13 @@
 
 #[path = "flash/player.rs"]
 mod player;
+mod pty;
 
 use std::io::{Cursor, Write};
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Result, bail};
@@ -26,19 +28,15 @@ use xtask::flash::teensy::Way;
 use xtask::flash::tray::{self, Ids};
 use xtask::flash::{Timing, nrf_dk as to_nrf_dk, teensy as to_teensy};
 
-/// Short where a test waits for something that does not come; long where it has to come on a busy computer.
-const SHORT: Timing = Timing {
-    answer: Duration::from_millis(500),
-    boot: Duration::from_millis(500),
-    check: Duration::ZERO,
-    calibration: Duration::from_millis(500),
-};
-const LONG: Timing = Timing {
-    answer: Duration::from_secs(30),
-    boot: Duration::from_secs(30),
-    check: Duration::ZERO,
-    calibration: Duration::from_secs(30),
-};
+/// Each step may take so long.
+const fn each(limit: Duration) -> Timing {
+    Timing { answer: limit, boot: limit, check: Duration::ZERO, calibration: limit }
+}
+
+/// Where a test waits for something that does not come; what comes before it has to come in time on a busy computer.
+const SHORT: Timing = each(Duration::from_secs(5));
+/// Where something has to come.
+const LONG: Timing = each(Duration::from_secs(60));
 /// A Teensy does not say when it has calibrated: the time is waited for.
 const LONG_SILENT: Timing = Timing { calibration: Duration::ZERO, ..LONG };
 
@@ -177,6 +175,28 @@ fn complaint(done: Result<()>) -> String {
     format!("{:#}", done.expect_err("something went wrong"))
 }
 
+/// What goes wrong at which answer, and how the complaint begins.
+type Case = (usize, Mischief, &'static str);
+
+/// Plays every case, all at a time, for some are waited out.
+fn each_is_told(cases: &[Case], program: impl Fn((String, Player), &Timing) -> Result<()> + Sync) {
+    std::thread::scope(|scope| {
+        for (at, what, says) in cases {
+            let program = &program;
+            scope.spawn(move || {
+                // Only of silence does a limit tell.
+                let waits = match what {
+                    Mischief::Silence | Mischief::Late(_) => true,
+                    Mischief::Say(bytes) => !bytes.ends_with(b"\n"),
+                    Mischief::Dribble | Mischief::Vanish => false,
+                };
+                let said = complaint(program(mischief(*at, what.clone()), if waits { &SHORT } else { &LONG }));
+                assert!(said.starts_with(says), "{at}, {what:?}: {said}");
+            });
+        }
+    });
+}
+
 #[test]
 fn an_nrf_dk_gets_every_byte_and_every_command() {
     let (done, taken, seen) = with_nrf_dk(line(), &LONG);
@@ -216,22 +236,20 @@ fn an_answer_from_before_is_not_taken_for_one() {
 #[test]
 fn an_nrf_dk_that_misbehaves_is_told_from_one_that_misbehaves_otherwise() {
     // Answer 0 is START's, 1 to 64 are the chunks', 65 is BOOT's, 66 CALIBRATE's.
-    for (at, what, says) in [
-        (0, Mischief::Silence, "resetting the mote: no answer within 0.5 s"),
+    let cases = [
+        (0, Mischief::Silence, "resetting the mote: no answer within 5 s"),
         (0, Mischief::Say(b"ERROR\n"), "resetting the mote: the programmer answered \"ERROR\" instead of \"ACK\""),
-        (11, Mischief::Silence, "after 10240 of 65536 bytes: no answer within 0.5 s"),
-        (11, Mischief::Late(Duration::from_secs(2)), "after 10240 of 65536 bytes: no answer within 0.5 s"),
+        (11, Mischief::Silence, "after 10240 of 65536 bytes: no answer within 5 s"),
+        // Not waited for, or this takes an hour.
+        (11, Mischief::Late(Duration::from_secs(3600)), "after 10240 of 65536 bytes: no answer within 5 s"),
         (11, Mischief::Say(b"AC"), "after 10240 of 65536 bytes: the answer broke off after \"AC\""),
         (11, Mischief::Say(b"\xf0\x00\x13\n"), "after 10240 of 65536 bytes: garbage instead of an answer (f0 00 13)"),
         (11, Mischief::Say(b"\xf0\x00ACK\n"), "after 10240 of 65536 bytes: garbage instead of an answer"),
         (11, Mischief::Vanish, "after 10240 of 65536 bytes: the programmer went away"),
         (65, Mischief::Silence, "booting the mote: no answer"),
         (66, Mischief::Vanish, "calibrating the mote: the programmer went away"),
-    ] {
-        let (done, _, _) = with_nrf_dk(mischief(at, what.clone()), &SHORT);
-        let said = complaint(done);
-        assert!(said.starts_with(says), "{at}, {what:?}: {said}");
-    }
+    ];
+    each_is_told(&cases, |player, timing| with_nrf_dk(player, timing).0);
 }
 
 /// As [`with_nrf_dk`], through a Teensy.
@@ -265,26 +283,23 @@ fn a_teensy_that_announces_its_boot_is_understood() {
 
 #[test]
 fn a_teensy_that_misbehaves_is_told_from_one_that_misbehaves_otherwise() {
-    for (at, what, says) in [
-        (0, Mischief::Silence, "asking for the transfer: no answer within 0.5 s"),
+    let cases = [
+        (0, Mischief::Silence, "asking for the transfer: no answer within 5 s"),
         (
             0,
             Mischief::Say(b"what?\r\n"),
             "asking for the transfer: the programmer answered \"what?\" instead of \"Executing SRAM Transfer\"",
         ),
         (0, Mischief::Say(b"\x80\x80\x80\n"), "asking for the transfer: garbage instead of an answer (80 80 80)"),
-        (1, Mischief::Silence, "booting the mote: no answer within 0.5 s"),
+        (1, Mischief::Silence, "booting the mote: no answer within 5 s"),
         (
             1,
             Mischief::Say(b"Error: Invalid packet format\r\n"),
             "booting the mote: the programmer answered \"Error: Invalid packet format\"",
         ),
         (1, Mischief::Vanish, "booting the mote: the programmer went away"),
-    ] {
-        let (done, _) = with_teensy(mischief(at, what.clone()), Way::Light, &SHORT);
-        let said = complaint(done);
-        assert!(said.starts_with(says), "{at}, {what:?}: {said}");
-    }
+    ];
+    each_is_told(&cases, |player, timing| with_teensy(player, Way::Light, timing).0);
 }
 
 #[test]
@@ -417,12 +432,14 @@ fn ids_are_read_as_they_are_written() {
 
 /// A `probe-rs` that writes down what it is called with and does `then`.
 fn fake_probe_rs(folder: &Path, then: &str) -> ProbeRs {
-    use std::os::unix::fs::PermissionsExt;
     let program = folder.join("probe-rs");
     let script = format!("#!/bin/sh\nprintf '%s\\n' \"$*\" >> '{}/calls'\n{then}\n", folder.display());
-    std::fs::write(&program, script).expect("a script");
-    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("that runs");
-    ProbeRs { program, limit: Duration::from_secs(30) }
+    // Written by another process: what another thread starts just then inherits a file that is open here, and a program
+    // that is open for writing does not start ("text file busy").
+    let mut write = Command::new("sh");
+    write.args(["-c", "printf %s \"$1\" > \"$0\" && chmod 755 \"$0\""]).arg(&program).arg(script);
+    assert!(write.status().expect("a shell").success());
+    ProbeRs { program, limit: Duration::from_secs(60) }
 }
 
 #[test]
@@ -498,8 +515,12 @@ fn bad_arguments_are_refused_before_anything_is_built() {
     }
 }
 
+/// Builds go to one place: what one has built, another with other words would build anew before it is read.
+static BUILDING: Mutex<()> = Mutex::new(());
+
 /// The verb at work on a played nRF52840-DK: what each mote received.
 fn flashed(arguments: &[&str], motes: usize, typed: &[u8]) -> (Output, Vec<Taken>) {
+    let _alone = BUILDING.lock().unwrap_or_else(PoisonError::into_inner);
     let (port, mut player) = line();
     player.reopened = true;
     let player = player.play(move |player| (0..motes).map(|_| nrf_dk(player)).collect());

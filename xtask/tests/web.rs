@@ -2,14 +2,20 @@
 //! The browser is Debian's chromium, told what to do through its debugging pipe; without it those tests are skipped.
 #![cfg(unix)]
 
+#[path = "listen/port.rs"]
+mod port;
+#[path = "listen/running.rs"]
+mod running;
+
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{ChildStderr, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use fixed::types::{I6F10, I16F16, U0F16};
 use lighthouse_mote::frame::{self, Header, Health, Level, Lock, Report};
+use running::Running;
 use serde_json::{Value, json};
 use xtask::listen::desk;
 use xtask::listen::model::{self, Signal, Swarm};
@@ -22,21 +28,13 @@ const LONG: Duration = Duration::from_secs(120);
 
 // --- the program, and what is in its air ---
 
-/// Ends it, however the test ends.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// A program that listens to a pipe and serves a page.
 struct Listener {
     running: Running,
     air: Option<ChildStdin>,
     at: SocketAddr,
+    /// Whoever cannot say what is wrong goes wrong.
+    _complaints: ChildStderr,
 }
 
 impl Listener {
@@ -46,14 +44,15 @@ impl Listener {
         command.current_dir(env!("CARGO_MANIFEST_DIR"));
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut running = Running(command.spawn().expect("it starts"));
-        let said = BufReader::new(running.0.stderr.take().unwrap()).lines().map_while(Result::ok);
-        let url = said.filter_map(|line| line.strip_prefix("Page: http://").map(str::to_owned)).next();
+        let mut said = BufReader::new(running.0.stderr.take().unwrap());
+        let lines = said.by_ref().lines().map_while(Result::ok);
+        let url = lines.filter_map(|line| line.strip_prefix("Page: http://").map(str::to_owned)).next();
         let at = url.expect("an address").trim_end_matches('/').parse().expect("an address");
         let mut air = running.0.stdin.take().unwrap();
         let mut head = Vec::new();
         pcap::write(&[], &mut head).unwrap();
         air.write_all(&head).unwrap();
-        Self { running, air: Some(air), at }
+        Self { running, air: Some(air), at, _complaints: said.into_inner() }
     }
 
     /// A frame at so many tenths of a second.
@@ -202,20 +201,15 @@ fn who_does_not_read_is_let_go_and_nobody_waits_for_it() {
     slow.write_all(b"GET /ev").unwrap();
     let mut reader = watch(web.at());
     let until = Instant::now() + LONG;
-    let mut events = 0;
-    while web.let_go() < 2 {
-        let text = next_event(&mut reader);
-        if events == 0 {
-            let all: Value = serde_json::from_str(&text).expect("JSON");
-            println!("{} bytes of 1000 motes", text.len());
-            assert_eq!(all["motes"].as_array().unwrap().len(), 1000);
-        }
-        events += 1;
+    let first = next_event(&mut reader);
+    while web.let_go() < 2 || web.watching() > 1 {
+        next_event(&mut reader);
         assert!(Instant::now() < until, "{} watch, {} let go", web.watching(), web.let_go());
     }
-    assert!(events >= 2, "{events}");
     next_event(&mut reader);
-    assert_eq!(web.watching(), 1);
+    assert_eq!((web.watching(), web.let_go()), (1, 2));
+    let all: Value = serde_json::from_str(&first).expect("JSON");
+    assert_eq!(all["motes"].as_array().unwrap().len(), 1000);
     drop(idle);
     // When all is over it is said.
     let end = std::thread::spawn(move || {
@@ -310,6 +304,11 @@ impl Browser {
 
     /// Has something done and waits for what comes of it.
     fn order(&mut self, method: &str, parameters: Value) -> Value {
+        self.ask(method, parameters).unwrap_or_else(|error| panic!("{method}: {error}"))
+    }
+
+    /// The same where it may be refused.
+    fn ask(&mut self, method: &str, parameters: Value) -> Result<Value, Value> {
         self.last += 1;
         let mut message = json!({ "id": self.last, "method": method, "params": parameters });
         if let Some(session) = &self.session {
@@ -329,25 +328,32 @@ impl Browser {
                 self.complaints.push(message["params"].clone());
             }
             if message["id"] == self.last {
-                assert!(message.get("error").is_none(), "{method}: {message}");
-                return message["result"].clone();
+                return match message.get("error") {
+                    None => Ok(message["result"].clone()),
+                    Some(error) => Err(error.clone()),
+                };
             }
         }
     }
 
     /// The value of an expression in the page.
     fn value(&mut self, expression: &str) -> Value {
+        self.evaluated(expression).unwrap_or_else(|error| panic!("{expression}: {error}"))
+    }
+
+    fn evaluated(&mut self, expression: &str) -> Result<Value, Value> {
         let asked = json!({ "expression": expression, "returnByValue": true });
-        let result = self.order("Runtime.evaluate", asked);
-        assert!(result.get("exceptionDetails").is_none(), "{expression}: {result}");
-        result["result"]["value"].clone()
+        let result = self.ask("Runtime.evaluate", asked)?;
+        match result.get("exceptionDetails") {
+            None => Ok(result["result"]["value"].clone()),
+            Some(thrown) => Err(thrown.clone()),
+        }
     }
 
     fn until(&mut self, what: &str, expression: &str) {
         let until = Instant::now() + LONG;
-        // While the page is loading there is nothing to ask.
-        let expression = format!("(() => {{ try {{ return {expression} }} catch {{ return false }} }})()");
-        while self.value(&expression) != true {
+        // While the page is loading there is nothing to ask, or nobody.
+        while self.evaluated(expression) != Ok(json!(true)) {
             if Instant::now() > until {
                 let text = self.value("document.body.innerText");
                 panic!("{what} did not happen: {text}\n{:?}", self.complaints);
@@ -384,19 +390,23 @@ impl Browser {
 
     /// Pixels of the canvas that are not empty, by whether they are of a colour (`r, g, b`, to 16).
     fn pixels(&mut self, colour: Option<[u8; 3]>) -> u64 {
-        let [r, g, b] = colour.unwrap_or_default();
-        let is = match colour {
-            None => "d[n + 3] > 0".to_owned(),
-            Some(_) => format!(
-                "d[n + 3] > 60 && Math.abs(d[n] - {r}) < 16 && Math.abs(d[n + 1] - {g}) < 16 && Math.abs(d[n + 2] - {b}) < 16"
-            ),
-        };
-        let expression = format!(
-            "(() => {{ const c = document.getElementById('room'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; \
-             let count = 0; for (let n = 0; n < d.length; n += 4) if ({is}) count++; return count; }})()"
-        );
-        self.value(&expression).as_u64().expect("a count")
+        self.value(&count_pixels(colour)).as_u64().expect("a count")
     }
+}
+
+/// The expression for it.
+fn count_pixels(colour: Option<[u8; 3]>) -> String {
+    let [r, g, b] = colour.unwrap_or_default();
+    let is = match colour {
+        None => "d[n + 3] > 0".to_owned(),
+        Some(_) => format!(
+            "d[n + 3] > 60 && Math.abs(d[n] - {r}) < 16 && Math.abs(d[n + 1] - {g}) < 16 && Math.abs(d[n + 2] - {b}) < 16"
+        ),
+    };
+    format!(
+        "(() => {{ const c = document.getElementById('room'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; \
+         let count = 0; for (let n = 0; n < d.length; n += 4) if ({is}) count++; return count; }})()"
+    )
 }
 
 /// The first mote's colour on the page, and the second's.
@@ -405,7 +415,8 @@ const SECOND: [u8; 3] = [0xE6, 0x9F, 0x00];
 
 #[test]
 fn a_browser_shows_the_motes_that_were_sent_and_follows_them() {
-    let mut listener = Listener::start("127.0.0.1:0");
+    // A port that it can have once more when it has ended.
+    let mut listener = Listener::start(&format!("127.0.0.1:{}", port::free()));
     let Some(mut browser) = Browser::start(&format!("http://{}/", listener.at), (800, 600), false) else { return };
     browser.until("the page lives", "document.body.dataset.state === 'live'");
     assert_eq!(browser.pixels(Some(FIRST)), 0);
@@ -454,12 +465,18 @@ fn a_browser_shows_the_motes_that_were_sent_and_follows_them() {
     assert!(first > 60 && second > 60 && browser.pixels(None) > 3000, "{first} {second}");
     assert_eq!(browser.value("document.querySelectorAll('tr.stale').length"), 0);
     // Whoever comes later sees where they came from: the page sees a moment of them, the server has kept the rest.
+    // The page that is there stays until the new one comes.
+    browser.value("window.isOld = true");
     browser.order("Page.reload", json!({}));
-    browser.until("drawn again", "document.body.dataset.placed === '2' && document.body.dataset.snapshots > 1");
+    let drawn_again = "!window.isOld && document.body.dataset.placed === '2' && document.body.dataset.snapshots > 1";
+    browser.until("drawn again", drawn_again);
     let (trail, other) = (browser.pixels(Some(FIRST)), browser.pixels(Some(SECOND)));
     browser.picture("desk");
-    browser.value("(trails.clear(), draw())");
-    let (first, second) = (browser.pixels(Some(FIRST)), browser.pixels(Some(SECOND)));
+    // At once: the next snapshot begins new trails.
+    let [first, second] = [FIRST, SECOND].map(|colour| {
+        let bare = format!("(trails.clear(), draw(), {})", count_pixels(Some(colour)));
+        browser.value(&bare).as_u64().expect("a count")
+    });
     assert!(trail > first + 15 && other > second + 15, "{first} {second}, with trails {trail} {other}");
     // It moves on, and says so.
     listener.hear(22, &report(3, 22, 22, [0.75, 1.25, -0.5]));

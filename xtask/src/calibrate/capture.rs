@@ -9,7 +9,7 @@
 use std::borrow::Cow;
 use std::io::{Cursor, Read};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -177,29 +177,50 @@ pub fn tap_header(rssi_dbm: Option<f32>, lqi: Option<u8>) -> Vec<u8> {
     header
 }
 
+/// Asks whoever reads a file that grows for its end as it is now.
+#[derive(Debug, Default)]
+pub struct EndOfNow {
+    asked: AtomicU64,
+    answered: AtomicU64,
+}
+
+impl EndOfNow {
+    /// A question, by its number.
+    pub fn ask(&self) -> u64 {
+        self.asked.fetch_add(1, Ordering::AcqRel) + 1
+    }
+
+    /// Whether everything has been read that was there when it was asked.
+    pub fn is_reached(&self, question: u64) -> bool {
+        self.answered.load(Ordering::Acquire) >= question
+    }
+}
+
 /// A file that may still grow: its end is a pause, until somebody says that it is enough.
 #[derive(Debug)]
 pub struct Growing<R> {
     from: R,
-    caught_up: Arc<AtomicBool>,
+    end: Arc<EndOfNow>,
     enough: Arc<AtomicBool>,
 }
 
 impl<R: Read> Growing<R> {
-    /// `caught_up` is set at the first pause; setting `enough` ends the waiting.
-    pub fn new(from: R, caught_up: Arc<AtomicBool>, enough: Arc<AtomicBool>) -> Self {
-        Self { from, caught_up, enough }
+    /// `end` answers at each pause; setting `enough` ends the waiting.
+    pub fn new(from: R, end: Arc<EndOfNow>, enough: Arc<AtomicBool>) -> Self {
+        Self { from, end, enough }
     }
 }
 
 impl<R: Read> Read for Growing<R> {
     fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
         loop {
+            // Before looking: what is asked meanwhile may be of bytes that come after the look.
+            let asked = self.end.asked.load(Ordering::Acquire);
             let count = self.from.read(bytes)?;
             if count > 0 || bytes.is_empty() || self.enough.load(Ordering::Relaxed) {
                 return Ok(count);
             }
-            self.caught_up.store(true, Ordering::Relaxed);
+            self.end.answered.store(asked, Ordering::Release);
             std::thread::sleep(LOOK_AGAIN);
         }
     }
@@ -276,10 +297,11 @@ mod tests {
         // The second frame comes in two parts, later.
         let half = bytes.len() - 10;
         std::fs::write(&path, &bytes[..half]).unwrap();
-        let [caught_up, enough] = [false; 2].map(|flag| Arc::new(AtomicBool::new(flag)));
-        let growing = Growing::new(std::fs::File::open(&path).unwrap(), caught_up.clone(), enough);
+        let (end, enough) = (Arc::new(EndOfNow::default()), Arc::default());
+        let growing = Growing::new(std::fs::File::open(&path).unwrap(), end.clone(), enough);
+        let question = end.ask();
         let writer = std::thread::spawn(move || {
-            while !caught_up.load(Ordering::Relaxed) {
+            while !end.is_reached(question) {
                 std::thread::sleep(LOOK_AGAIN);
             }
             std::fs::OpenOptions::new().append(true).open(path).unwrap().write_all(&bytes[half..]).unwrap();

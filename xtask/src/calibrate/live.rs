@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 
-use super::capture::{self, Growing};
+use super::capture::{self, EndOfNow, Growing};
 use super::points::Point;
 use super::session::Source;
 use super::solve::Sighting;
@@ -28,7 +28,8 @@ const WAIT: Duration = Duration::from_millis(200);
 #[derive(Debug)]
 pub struct Live {
     from: Receiver<Result<Vec<Sighting>>>,
-    caught_up: Arc<AtomicBool>,
+    /// Of a file; what comes through a pipe is read as it comes.
+    end: Option<Arc<EndOfNow>>,
     enough: Arc<AtomicBool>,
 }
 
@@ -46,14 +47,14 @@ impl Live {
 
     /// Reads from anything; a source that `grows` has pauses where others end.
     pub fn read(name: String, from: impl Read + Send + 'static, grows: bool) -> Self {
-        let caught_up = Arc::new(AtomicBool::new(!grows));
+        let end = grows.then(Arc::<EndOfNow>::default);
         let enough = Arc::new(AtomicBool::new(false));
         let (to, receiver) = channel();
-        let (flags, stop) = ((caught_up.clone(), enough.clone()), enough.clone());
+        let (asked, stop) = (end.clone(), enough.clone());
         std::thread::spawn(move || {
-            let from: Box<dyn Read> = match grows {
-                true => Box::new(Growing::new(from, flags.0, flags.1)),
-                false => Box::new(from),
+            let from: Box<dyn Read> = match asked {
+                Some(end) => Box::new(Growing::new(from, end, stop.clone())),
+                None => Box::new(from),
             };
             let mut heard = Heard::default();
             let mut half_turns = Vec::new();
@@ -65,15 +66,16 @@ impl Live {
             });
             let _ = to.send(ended.and_then(|()| Err(anyhow!("{name}: the capture has ended"))));
         });
-        Self { from: receiver, caught_up, enough }
+        Self { from: receiver, end, enough }
     }
 }
 
 impl Source for Live {
     fn begin(&mut self, _: &Point) -> Result<()> {
+        // What was captured before the mote stood there may take a moment to be read past.
+        let asked = self.end.as_ref().map(|end| (end, end.ask()));
         loop {
-            // What was captured before the mote stood there may take a moment to be read past.
-            let caught_up = self.caught_up.load(Ordering::Relaxed);
+            let caught_up = asked.is_none_or(|(end, question)| end.is_reached(question));
             loop {
                 match self.from.try_recv() {
                     Ok(said) => drop(said?),
@@ -114,41 +116,52 @@ mod tests {
     use super::*;
     use crate::pcap::{self, Frame};
 
+    /// The next sightings, however long they take.
+    fn some(live: &mut Live) -> Vec<Sighting> {
+        loop {
+            let seen = live.next().unwrap();
+            if !seen.is_empty() {
+                return seen;
+            }
+        }
+    }
+
+    /// A capture of one sweep at a time of the mote's; without its head, what is appended to one.
+    fn captured(time: u32) -> Vec<u8> {
+        let mut angles = Angles { half_turn_q8: 90_000 << 8, ..Angles::default() };
+        let _ = angles.sweeps.push(Measured { time, station: Station::A, axis: Axis::Azimuth, share: 1 << 19 });
+        let header = Header { pan: 1, mote: 1, sequence: 0 };
+        let bytes = emit_angles(header, &angles, &mut [0; ANGLES_LEN]).to_vec();
+        let mut capture = Vec::new();
+        pcap::write(&[Frame { micros: 0, bytes }], &mut capture).unwrap();
+        capture
+    }
+
     #[test]
     fn what_came_before_the_mote_stood_there_does_not_count() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("air.pcap");
+        std::fs::write(&path, captured(0)).unwrap();
+        let mut air = std::fs::OpenOptions::new().append(true).open(&path).unwrap();
+        let place = Point { name: "lamp".into(), position: Vector3::zeros() };
+        let mut live = Live::open(&path).unwrap();
+        assert_eq!(some(&mut live)[0].at_s, 0.0);
+        for half_turn in [1, 3] {
+            air.write_all(&captured(half_turn * 90_000)[24..]).unwrap();
+            live.begin(&place).unwrap();
+            air.write_all(&captured((half_turn + 1) * 90_000)[24..]).unwrap();
+            let seen = some(&mut live);
+            assert_eq!(seen.len(), 1);
+            assert!((seen[0].at_s - f64::from(half_turn + 1) / 120.0).abs() < 1e-12, "{seen:?}");
+        }
+    }
+
+    #[test]
+    fn a_pipe_that_ends_is_an_end() {
         let (from, mut to) = std::io::pipe().unwrap();
         let mut live = Live::read("pipe".to_string(), from, false);
-        let frame = |time: u32| {
-            let mut angles = Angles { half_turn_q8: 90_000 << 8, ..Angles::default() };
-            let _ = angles.sweeps.push(Measured { time, station: Station::A, axis: Axis::Azimuth, share: 1 << 19 });
-            let header = Header { pan: 1, mote: 1, sequence: 0 };
-            let bytes = emit_angles(header, &angles, &mut [0; ANGLES_LEN]).to_vec();
-            let mut capture = Vec::new();
-            pcap::write(&[Frame { micros: 0, bytes }], &mut capture).unwrap();
-            capture
-        };
-        let place = Point { name: "lamp".into(), position: Vector3::zeros() };
-        to.write_all(&frame(0)).unwrap();
-        // The thread reads it when it likes; it must be there before it can be thrown away.
-        let first = loop {
-            let seen = live.next().unwrap();
-            if !seen.is_empty() {
-                break seen;
-            }
-        };
-        assert_eq!(first[0].at_s, 0.0);
-        to.write_all(&frame(90_000)[24..]).unwrap();
-        std::thread::sleep(WAIT);
-        live.begin(&place).unwrap();
-        to.write_all(&frame(180_000)[24..]).unwrap();
-        let seen = loop {
-            let seen = live.next().unwrap();
-            if !seen.is_empty() {
-                break seen;
-            }
-        };
-        assert_eq!(seen.len(), 1);
-        assert!((seen[0].at_s - 2.0 / 120.0).abs() < 1e-12, "{seen:?}");
+        to.write_all(&captured(0)).unwrap();
+        assert_eq!(some(&mut live).len(), 1);
         drop(to);
         let end = loop {
             if let Err(end) = live.next() {

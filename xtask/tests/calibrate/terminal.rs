@@ -2,12 +2,12 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Write};
-use std::os::fd::OwnedFd;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+use crate::pty;
 
 /// Who waits for longer is in a test that has failed.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -24,16 +24,13 @@ pub struct Terminal {
 impl Terminal {
     /// Types the command.
     pub fn calibrate(words: &[&str]) -> Self {
-        let master: OwnedFd = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pseudo-terminal");
-        grantpt(&master).expect("it can be granted");
-        unlockpt(&master).expect("it can be unlocked");
-        let name = ptsname(&master, Vec::new()).expect("it has a name").into_string().expect("its name is text");
+        let (screen, name) = pty::open();
         let line = OpenOptions::new().read(true).write(true).open(name).expect("its other end");
         let end = || Stdio::from(line.try_clone().expect("the same end"));
         let mut command = Command::new(env!("CARGO_BIN_EXE_xtask"));
         command.arg("calibrate").args(words).stdin(end()).stdout(end()).stderr(end());
         let tool = command.spawn().expect("the tool starts");
-        Self { screen: master.into(), tool, said: String::new(), read: 0 }
+        Self { screen: screen.into(), tool, said: String::new(), read: 0 }
     }
 
     /// Reads on until this is on the screen, after what was waited for before.

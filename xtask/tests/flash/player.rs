@@ -2,13 +2,13 @@
 
 use std::fs::File;
 use std::io::{Read, Write};
-use std::os::fd::OwnedFd;
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+
+use crate::pty;
 
 /// A player that hears nothing for so long is in a test that has failed: a build may come first.
 const PATIENCE: Duration = Duration::from_secs(900);
@@ -20,7 +20,7 @@ pub enum Mischief {
     Silence,
     /// Something else.
     Say(&'static [u8]),
-    /// The right thing, later.
+    /// The right thing, later; nothing if the tool has closed the line before.
     Late(Duration),
     /// The right thing, byte by byte.
     Dribble,
@@ -42,15 +42,12 @@ pub struct Player {
 
 /// A line: where the tool finds it, and who is at its other end.
 pub fn line() -> (String, Player) {
-    let master: OwnedFd = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pseudo-terminal");
-    grantpt(&master).expect("it can be granted");
-    unlockpt(&master).expect("it can be unlocked");
+    let (line, name) = pty::open();
     // As a serial port is: without an echo.
-    let mut settings = tcgetattr(&master).expect("a line has settings");
+    let mut settings = tcgetattr(&line).expect("a line has settings");
     settings.make_raw();
-    tcsetattr(&master, OptionalActions::Now, &settings).expect("a line takes settings");
-    let name = ptsname(&master, Vec::new()).expect("it has a name").into_string().expect("its name is text");
-    (name, Player { line: Some(master.into()), gulp: 4096, mischief: None, answers: 0, reopened: false })
+    tcsetattr(&line, OptionalActions::Now, &settings).expect("a line takes settings");
+    (name, Player { line: Some(line.into()), gulp: 4096, mischief: None, answers: 0, reopened: false })
 }
 
 impl Player {
@@ -102,6 +99,15 @@ impl Player {
         Some(bytes)
     }
 
+    /// Whether the tool closes the line within this time.
+    fn is_left_within(&self, limit: Duration) -> bool {
+        let line = self.line.as_ref().expect("still there");
+        // A line that was left is told without being asked for.
+        let mut left = [PollFd::new(line, PollFlags::empty())];
+        let limit = Timespec { tv_sec: limit.as_secs() as i64, tv_nsec: limit.subsec_nanos().into() };
+        poll(&mut left, Some(&limit)).expect("a line can be waited for") > 0
+    }
+
     /// Stays until the tool has closed the line.
     fn linger(&mut self) {
         if !self.reopened {
@@ -137,8 +143,9 @@ impl Player {
             Some(Mischief::Silence) => {}
             Some(Mischief::Say(bytes)) => self.noise(bytes),
             Some(Mischief::Late(by)) => {
-                sleep(by);
-                self.noise(right);
+                if !self.is_left_within(by) {
+                    self.noise(right);
+                }
             }
             Some(Mischief::Dribble) => {
                 for byte in right {

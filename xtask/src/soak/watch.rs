@@ -6,11 +6,11 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use lighthouse_mote::frame::{Health, Lock, Rejects};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use xtask::light::quantile;
 
 use super::plan::{CLEAR, Meeting};
-use super::{HALF_TURN_WITHIN, LATENCY_S, WRONG_SHARE};
+use super::{HALF_TURN_WITHIN, LATENCY_S, SPELL_FIXES, SPELL_S, WRONG_SHARE};
 use crate::lit::{Fix, Lit, Said};
 use crate::run::Log;
 use crate::scenes::known_wrong;
@@ -150,13 +150,51 @@ pub(super) struct Life {
     half_turn_ppm: f64,
     latency_ms: f64,
     reports_lost: u16,
-    wrong: BTreeMap<String, usize>,
-    /// Fixes of level full in the scenes.
-    hostile: u64,
+    /// Of each scene in which there was one.
+    wrong: BTreeMap<String, Wrong>,
+    /// Fixes of level full in each scene.
+    good: BTreeMap<String, u64>,
     refused: u64,
 }
 
+/// Wrong fixes of level full.
+#[derive(Debug, Clone, Default)]
+struct Wrong {
+    fixes: u64,
+    /// Wrong ones within [`SPELL_S`] of each other are one spell, whatever right ones lie between.
+    spells: u64,
+    longest_s: f64,
+    /// When the latest spell began, and its latest wrong one, true seconds.
+    since_s: f64,
+    latest_s: f64,
+}
+
+impl Wrong {
+    fn at(&mut self, sent_s: f64) {
+        if self.spells == 0 || sent_s - self.latest_s > SPELL_S {
+            self.spells += 1;
+            self.since_s = sent_s;
+        }
+        self.fixes += 1;
+        self.latest_s = sent_s;
+        self.longest_s = self.longest_s.max(sent_s - self.since_s);
+    }
+
+    fn summary(&self) -> Value {
+        json!({ "fixes": self.fixes, "spells": self.spells, "longest_s": self.longest_s })
+    }
+}
+
 impl Life {
+    fn good_in(&self, scene: &str) -> u64 {
+        self.good.get(scene).copied().unwrap_or(0)
+    }
+
+    /// How many of a scene's good fixes may be wrong.
+    fn may_be_wrong(&self, scene: &str) -> u64 {
+        (WRONG_SHARE * self.good_in(scene) as f64 + SPELL_FIXES) as u64
+    }
+
     /// What must not be.
     pub(super) fn broken(&self) -> Vec<String> {
         let mut broken = Vec::new();
@@ -177,14 +215,16 @@ impl Life {
         );
         must(self.latency_ms <= 1e3 * LATENCY_S, format!("a fix took {} ms to the air", self.latency_ms));
         must(self.refused == 0, format!("the radio refused {} times", self.refused));
-        let clear = self.wrong.get(CLEAR).copied().unwrap_or(0);
-        must(clear == 0, format!("{clear} wrong fixes of level full in clear light"));
-        let hostile: usize =
-            self.wrong.iter().filter(|(scene, _)| *scene != CLEAR && !known_wrong(scene)).map(|(_, wrong)| wrong).sum();
-        must(
-            hostile as f64 <= WRONG_SHARE * self.hostile as f64,
-            format!("{hostile} of {} fixes of level full in the scenes are wrong", self.hostile),
-        );
+        for (scene, wrong) in self.wrong.iter().filter(|(scene, _)| !known_wrong(scene)) {
+            let Wrong { fixes, longest_s, .. } = wrong;
+            if scene == CLEAR {
+                must(false, format!("{fixes} wrong fixes of level full in clear light"));
+                continue;
+            }
+            must(*longest_s <= SPELL_S, format!("{scene}: fixes of level full were wrong for {longest_s:.2} s"));
+            let (good, may) = (self.good_in(scene), self.may_be_wrong(scene));
+            must(*fixes <= may, format!("{scene}: {fixes} of {good} fixes of level full are wrong, and {may} may be"));
+        }
         broken
     }
 
@@ -201,8 +241,8 @@ impl Life {
             "half_turn_worst_ppm": self.half_turn_ppm,
             "latency_worst_ms": self.latency_ms,
             "reports_lost": self.reports_lost,
-            "wrong": self.wrong,
-            "good_fixes_in_scenes": self.hostile,
+            "wrong": self.wrong.iter().map(|(scene, wrong)| (scene.clone(), wrong.summary())).collect::<Map<_, _>>(),
+            "good_fixes_in_scenes": self.good,
             "radio_refused": self.refused,
         })
     }
@@ -214,7 +254,7 @@ impl std::fmt::Display for Life {
             f,
             "starts {}, frames {} of which missing {}, other or garbled {}; health frames {}, uptime back {} times, \
              largest step {} s\nhalf turn off by at most {:.0} ppm in clear light, light to air at most {:.2} ms there, reports \
-             lost {}, radio refused {}\n{} fixes of level full in the scenes; wrong ones by scene:",
+             lost {}, radio refused {}\n{} fixes of level full in {} scenes; wrong ones by scene:",
             self.starts,
             self.frames,
             self.missing,
@@ -226,13 +266,19 @@ impl std::fmt::Display for Life {
             self.latency_ms,
             self.reports_lost,
             self.refused,
-            self.hostile
+            self.good.values().sum::<u64>(),
+            self.good.len()
         )?;
         if self.wrong.is_empty() {
             write!(f, " none")?;
         }
-        for (scene, wrong) in &self.wrong {
-            write!(f, " {scene} {wrong}{}", if known_wrong(scene) { " (known)" } else { "" })?;
+        for (scene, Wrong { fixes, spells, longest_s, .. }) in &self.wrong {
+            let good = self.good_in(scene);
+            write!(f, "\n  {scene:<22} {fixes:>6} of {good:>7}, in {spells:>4} spells of {longest_s:.2} s at most; ")?;
+            match known_wrong(scene) {
+                true => write!(f, "known")?,
+                false => write!(f, "{} may be, for {SPELL_S} s", self.may_be_wrong(scene))?,
+            }
         }
         Ok(())
     }
@@ -321,13 +367,15 @@ impl Watch {
         let aftermath_s = if known_wrong(&self.before) { LONG_AFTERMATH_S } else { AFTERMATH_S };
         let over = fix.row.seconds > self.since_s + aftermath_s;
         let blame = if self.name == CLEAR && !over { &self.before } else { &self.name };
-        self.life.hostile += u64::from(self.name != CLEAR);
+        if self.name != CLEAR {
+            *self.life.good.entry(self.name.clone()).or_default() += 1;
+        }
         if !known_wrong(blame) {
             errors.push(100.0 * fix.error_m());
         }
         if fix.is_wrong() {
             *self.round.wrong.entry(blame.clone()).or_default() += 1;
-            *self.life.wrong.entry(blame.clone()).or_default() += 1;
+            self.life.wrong.entry(blame.clone()).or_default().at(fix.sent_s);
         }
     }
 
@@ -425,10 +473,25 @@ mod tests {
         assert!(well.broken().is_empty());
         assert_eq!(Life { starts: 2, ..well.clone() }.broken().len(), 1);
         assert_eq!(Life { missing: 1, ..well.clone() }.broken().len(), 1);
-        let wrong = |scene: &str, hostile| {
-            Life { wrong: [(scene.to_string(), 1)].into(), hostile, ..well.clone() }.broken().len()
+        let broken = |scene: &str, good: u64, at_s: &[f64]| {
+            let mut wrong = Wrong::default();
+            at_s.iter().for_each(|at_s| wrong.at(*at_s));
+            let of = |what: &str| what.to_string();
+            Life { wrong: [(of(scene), wrong)].into(), good: [(of(scene), good)].into(), ..well.clone() }.broken()
         };
-        assert_eq!((wrong(CLEAR, 1_000_000), wrong("moved-10cm", 1)), (1, 0));
-        assert_eq!((wrong("reflections", 9_000), wrong("reflections", 11_000)), (1, 0));
+        let once = [1.0];
+        assert_eq!((broken(CLEAR, 0, &once).len(), broken("moved-10cm", 1, &[1.0, 1.9, 2.8]).len()), (1, 0));
+        assert_eq!(broken("reflections", 1000, &once).len(), 0);
+        // Short ones, too many: 2.7 and 15 may be.
+        let often: Vec<f64> = (0..18).map(|n| 10.0 * f64::from(n)).collect();
+        assert_eq!(
+            broken("reflections", 1000, &often),
+            ["reflections: 18 of 1000 fixes of level full are wrong, and 17 may be"]
+        );
+        assert_eq!(broken("reflections", 2000, &often).len(), 0);
+        // Few, too long, though each is near the one before.
+        let long = [1.0, 1.6, 2.1];
+        assert_eq!(broken("reflections", 1000, &long), ["reflections: fixes of level full were wrong for 1.10 s"]);
+        assert_eq!(broken("reflections", 1000, &[1.0, 1.6, 2.7, 3.2]).len(), 0, "two spells");
     }
 }

@@ -30,8 +30,8 @@ use xtask::svg::figure;
 
 use crate::firmware;
 use crate::lit::Lit;
+use crate::log::Log;
 use crate::process::root;
-use crate::run::Log;
 use harm::{Harm, Kind, Ram};
 use outcome::{Outcome, Seen};
 

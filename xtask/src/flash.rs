@@ -26,6 +26,7 @@ use anyhow::{Context, Result, ensure};
 use lighthouse_mote::identity::first_counter;
 use sim::elf;
 
+use crate::whole;
 use identity::Change;
 use line::Line;
 use port::{Found, Programmer};
@@ -314,10 +315,7 @@ fn scum(image: &image::Image, found: &Found, wired: bool) -> Result<()> {
 fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<PathBuf> {
     let file = folder.join(name);
     std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    // Beside and then over it: no file is ever half written.
-    let beside = folder.join(format!("{name}.new"));
-    std::fs::write(&beside, bytes).with_context(|| beside.display().to_string())?;
-    std::fs::rename(&beside, &file).with_context(|| file.display().to_string())?;
+    whole::write(&file, bytes)?;
     Ok(file)
 }
 

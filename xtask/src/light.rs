@@ -16,15 +16,7 @@
 //! taken back by what it measured, is the sync of a slot whose number within the cycle is known.
 //!
 //! # Design
-//! What `timestamp_ticks` stands for is not written down and differs between recordings, so three
-//! readings are tried: the timestamp is the sync, the middle between sync and sweep, or the sweep.
-//! The right one puts sweeps of different kinds on one grid. When none does, the rows are a log,
-//! written some time after the sweep, and each is given the newest slot of its kind that was over.
-//!
-//! The grid is a line fitted every quarter second to the rows around it, each counting by how well it
-//! agrees with the others. The syncs follow that smooth grid, to the nearest tick; the sweep comes
-//! the recorded number of ticks after its own sync, exactly. So the recorded sweeps keep their
-//! jitter and the recorded clock keeps its drift, while the syncs have no jitter of their own.
+//! [`grid`] finds what the timestamps stand for and when every half turn began; [`play`] lays edges on that grid.
 //!
 //! # What can go wrong
 //! A row may not fit the grid (a reflection taken for a sweep, a mislabelled pulse): it is played
@@ -32,34 +24,31 @@
 //! would fall among the syncs cannot be played; it is counted. Where no row tells of light for
 //! longer than `silence_s` there is none: the syncs stop and come back.
 
+mod grid;
+mod play;
+
 use std::fmt;
 
 use anyhow::{Result, ensure};
 
-use crate::recording::{Axis, Kind, Recording, Row, Station};
+use crate::recording::{Recording, Row, Station};
+use grid::Found;
+use play::Play;
 
 /// Half turns per second of a 60 Hz rotor.
-const HALF_TURNS_HZ: f64 = 120.0;
+pub const HALF_TURNS_HZ: f64 = 120.0;
+/// Half a turn, seconds.
+pub const HALF_TURN_S: f64 = 1.0 / HALF_TURNS_HZ;
 /// Slots in a cycle, after which the same rotor sweeps again.
 const SLOTS: i64 = 4;
 /// B's sync comes this part of a half turn after A's: 20,000 of 400,000 ticks at 48 MHz.
 const B_AFTER_A: f64 = 0.05;
-/// Unit of the sync widths as a part of a half turn: 10.417 us of 8.333 ms.
-const WIDTH_UNIT: f64 = 1.0 / 800.0;
-/// The longest sync, with axis, data and skip bits all set: (6 + 1 + 2 + 4) units.
-const LONGEST_SYNC: f64 = 13.0 * WIDTH_UNIT;
-/// A sweep must keep this far from syncs to be a pulse of its own, as a part of a half turn.
-const GUARD: f64 = 0.005;
 /// How far a row may lie from the grid and still be called on it, in half turns: 83 us.
 const ON_GRID: f64 = 0.01;
 /// The fastest clock that SCuM-3C runs on; a faster recording is played on this one.
 const SCUM_HCLK_HZ: f64 = 10_000_000.0;
 /// A clock this fast is not a mote's; 20 MHz is known not to work.
 const FASTEST_MOTE_HZ: f64 = 12_000_000.0;
-/// Slots between two points of the fitted grid: a quarter of a second.
-const KNOT: i64 = 30;
-/// Slots to each side that a point of the grid is fitted to: half a second.
-const REACH: i64 = 60;
 
 /// How to play a recording.
 #[derive(Clone, Debug)]
@@ -226,15 +215,6 @@ impl fmt::Display for Findings {
     }
 }
 
-/// The slot of the cycle in which `kind` sweeps.
-fn slot_of(kind: Kind) -> i64 {
-    let first = match kind.station {
-        Station::B => 0,
-        Station::A => 2,
-    };
-    first + i64::from(kind.axis == Axis::El)
-}
-
 /// Part of a half turn from the start of a slot to the sync of the station.
 fn sync_offset(station: Station) -> f64 {
     match station {
@@ -243,498 +223,12 @@ fn sync_offset(station: Station) -> f64 {
     }
 }
 
-/// Width of a station's sync in a slot, as a part of a half turn; data bits are all zero.
-fn sync_width(station: Station, slot: i64) -> f64 {
-    let slot = slot.rem_euclid(SLOTS);
-    let axis = slot % 2;
-    let a_sweeps = slot >= 2;
-    let skip = (station == Station::A) != a_sweeps;
-    (6 + axis + 4 * i64::from(skip)) as f64 * WIDTH_UNIT
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    quantile(values, 0.5)
-}
-
-/// The value below which the part `q` of `values` lies, between neighbours in proportion.
-pub fn quantile(values: &mut [f64], q: f64) -> f64 {
-    if values.is_empty() {
-        return f64::NAN;
-    }
-    values.sort_by(f64::total_cmp);
-    let place = q * (values.len() - 1) as f64;
-    let below = place.floor() as usize;
-    let above = (below + 1).min(values.len() - 1);
-    values[below] + (values[above] - values[below]) * (place - below as f64)
-}
-
-/// One row as it bears on the grid: a time that should be the start of a slot.
-#[derive(Clone, Copy)]
-struct Sight {
-    time: f64,
-    slot: i64,
-}
-
-impl Sight {
-    /// Number of the half turn, counted from `from`, that this sight must be nearest to.
-    fn number(&self, from: i64, start: f64, half_turn: f64) -> i64 {
-        let ahead = (self.time - start) / half_turn;
-        let cycles = (ahead + (from - self.slot) as f64) / SLOTS as f64;
-        self.slot + SLOTS * cycles.round() as i64
-    }
-}
-
-/// When every half turn began, in timestamp ticks.
-struct Grid {
-    first: i64,
-    knots: Vec<f64>,
-    half_turn: f64,
-}
-
-impl Grid {
-    /// Fits the grid to sights in the order of their rows; `gate` is how far from where the last
-    /// ones say, in half turns, one may lie and still be believed.
-    fn fit(sights: &[Sight], half_turn: f64, gate: f64) -> Option<Self> {
-        let anchor = Self::anchor(sights, half_turn, gate)?;
-        let believed = Self::follow(sights, anchor, half_turn, gate);
-        let (first, last) = (believed.first()?.0, believed.iter().map(|b| b.0).max()?);
-        let mut knots = Vec::new();
-        let mut at = first;
-        loop {
-            knots.push(Self::smooth(&believed, at, half_turn));
-            if at > last {
-                break;
-            }
-            at += KNOT;
-        }
-        let sane = knots.windows(2).all(|pair| ((pair[1] - pair[0]) / (KNOT as f64 * half_turn) - 1.0).abs() < 0.02);
-        sane.then_some(Self { first, knots, half_turn })
-    }
-
-    /// The early sight that most of its neighbours agree with.
-    fn anchor(sights: &[Sight], half_turn: f64, gate: f64) -> Option<Sight> {
-        let early = &sights[..sights.len().min(100)];
-        let agree = |a: &Sight| {
-            let near = |s: &&Sight| {
-                let number = s.number(a.slot, a.time, half_turn);
-                (s.time - a.time - (number - a.slot) as f64 * half_turn).abs() < gate * half_turn
-            };
-            early.iter().filter(near).count()
-        };
-        early.iter().max_by_key(|s| agree(s)).copied()
-    }
-
-    /// Numbers the sights, dropping those that stand apart from where the others lead.
-    fn follow(sights: &[Sight], anchor: Sight, half_turn: f64, gate: f64) -> Vec<(i64, f64)> {
-        // An RC clock wanders by hundreds of ppm, so the gate widens with the time since the last.
-        const WANDER: f64 = 3e-4;
-        let (mut number, mut start) = (anchor.slot, anchor.time);
-        let mut believed = Vec::new();
-        for sight in sights {
-            let n = sight.number(number, start, half_turn);
-            let gap = (n - number) as f64;
-            let expected = start + gap * half_turn;
-            let off = sight.time - expected;
-            if off.abs() > half_turn * (gate + WANDER * gap.abs()) {
-                continue;
-            }
-            believed.push((n, sight.time));
-            if n > number {
-                let trust = (0.1 + gap / 600.0).min(1.0);
-                (number, start) = (n, expected + trust * off);
-            }
-        }
-        believed
-    }
-
-    /// The start of half turn `at`: a line through the sights around it, each counting less the
-    /// further it lies from the line (Tukey's biweight).
-    fn smooth(believed: &[(i64, f64)], at: i64, half_turn: f64) -> f64 {
-        let mut reach = REACH;
-        let near = loop {
-            let from = believed.partition_point(|b| b.0 < at - reach);
-            let to = believed.partition_point(|b| b.0 <= at + reach);
-            let near = &believed[from.min(to)..to];
-            let span = near.last().map_or(0, |b| b.0) - near.first().map_or(0, |b| b.0);
-            if near.len() == believed.len() || (near.len() >= 8 && span >= REACH) {
-                break near;
-            }
-            reach *= 2;
-        };
-        let base = near[0].1;
-        let points: Vec<(f64, f64)> =
-            near.iter().map(|&(n, t)| ((n - at) as f64, t - base - (n - near[0].0) as f64 * half_turn)).collect();
-        let mut weights = vec![1.0; points.len()];
-        let mut level = 0.0;
-        for _ in 0..6 {
-            let (mut w, mut wx, mut wy, mut wxx, mut wxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-            for (&(x, y), &k) in points.iter().zip(&weights) {
-                w += k;
-                wx += k * x;
-                wy += k * y;
-                wxx += k * x * x;
-                wxy += k * x * y;
-            }
-            let det = w * wxx - wx * wx;
-            let slope = if det > 0.0 { (w * wxy - wx * wy) / det } else { 0.0 };
-            level = (wy - slope * wx) / w;
-            let off = |&(x, y): &(f64, f64)| y - level - slope * x;
-            let mut sizes: Vec<f64> = points.iter().map(|p| off(p).abs()).collect();
-            let reach = (4.685 * 1.4826 * median(&mut sizes)).max(2.0);
-            for (point, weight) in points.iter().zip(&mut weights) {
-                let part = (off(point) / reach).powi(2);
-                *weight = if part < 1.0 { (1.0 - part).powi(2) } else { 0.0 };
-            }
-        }
-        base + level + (at - near[0].0) as f64 * half_turn
-    }
-
-    /// When half turn `number` began; beyond the ends the nearest slope goes on.
-    fn start(&self, number: i64) -> f64 {
-        let (knot, part) = self.place(number);
-        let next = self.knots.get(knot + 1).copied();
-        let next = next.unwrap_or(self.knots[knot] + KNOT as f64 * self.half_turn);
-        self.knots[knot] + part * (next - self.knots[knot])
-    }
-
-    /// How long half turn `number` lasted.
-    fn length(&self, number: i64) -> f64 {
-        self.start(number + 1) - self.start(number)
-    }
-
-    fn place(&self, number: i64) -> (usize, f64) {
-        let last = self.knots.len().saturating_sub(2) as i64;
-        let knot = (number - self.first).div_euclid(KNOT).clamp(0, last);
-        (knot as usize, (number - self.first - knot * KNOT) as f64 / KNOT as f64)
-    }
-
-    /// How many half turns after the first one `time` is, in parts of one.
-    fn number_at(&self, time: f64) -> f64 {
-        let last = self.knots.len().saturating_sub(2);
-        let knot = self.knots.partition_point(|&k| k <= time).saturating_sub(1).min(last);
-        let start = self.first + knot as i64 * KNOT;
-        start as f64 + (time - self.start(start)) / self.length(start)
-    }
-}
-
-/// The meaning of the timestamps and the grid that follows from it.
-struct Found {
-    stamp: Stamp,
-    grid: Grid,
-    /// Per row: the half turn it belongs to and how far off the grid it is, in half turns.
-    numbers: Vec<(i64, f64)>,
-}
-
-impl Found {
-    fn search(rows: &[Row], nominal: f64) -> Option<Self> {
-        [(Stamp::Sync, 0.0), (Stamp::Middle, 0.5), (Stamp::Sweep, 1.0)]
-            .into_iter()
-            .filter_map(|(stamp, part)| Self::stamped(rows, nominal, stamp, part))
-            .max_by(|a, b| a.0.total_cmp(&b.0))
-            .filter(|(agreeing, _)| *agreeing > 0.5)
-            .map(|(_, found)| found)
-            .or_else(|| Self::logged(rows, nominal))
-    }
-
-    /// Reads timestamps as the instant at `part` of the way from sync to sweep; tells how much of
-    /// the recording agrees, judged by neighbours of different kinds, for those of one kind agree
-    /// under every reading.
-    fn stamped(rows: &[Row], nominal: f64, stamp: Stamp, part: f64) -> Option<(f64, Self)> {
-        let sync = |row: &Row| row.timestamp as f64 - part * f64::from(row.sync_to_sweep);
-        let half_turn = cycle_length(rows, nominal, sync)? / SLOTS as f64;
-        let sights: Vec<Sight> = rows
-            .iter()
-            .map(|row| Sight { time: sync(row) - sync_offset(row.kind.station) * half_turn, slot: slot_of(row.kind) })
-            .collect();
-        let (mut near, mut pairs) = (0, 0);
-        for pair in sights.windows(2).filter(|p| p[0].slot != p[1].slot) {
-            let n = pair[1].number(pair[0].slot, pair[0].time, half_turn) - pair[0].slot;
-            if (1..=8).contains(&n) {
-                let off = pair[1].time - pair[0].time - n as f64 * half_turn;
-                near += usize::from(off.abs() < ON_GRID * half_turn);
-                pairs += 1;
-            }
-        }
-        let agreeing = near as f64 / f64::from(pairs.max(1));
-        let grid = Grid::fit(&sights, half_turn, 2.0 * ON_GRID)?;
-        let numbers = sights
-            .iter()
-            .map(|sight| {
-                let at = grid.number_at(sight.time);
-                let cycles = (at - sight.slot as f64) / SLOTS as f64;
-                let number = sight.slot + SLOTS * cycles.round() as i64;
-                (number, (sight.time - grid.start(number)) / half_turn)
-            })
-            .collect();
-        Some((agreeing, Self { stamp, grid, numbers }))
-    }
-
-    /// Reads timestamps as the time of writing: each row is the newest sweep of its kind that was
-    /// over. The sweeps are in nominal ticks, the timestamps on a clock of their own.
-    fn logged(rows: &[Row], nominal: f64) -> Option<Self> {
-        // The log is written in bursts with a jitter of a tenth of a half turn.
-        const GATE: f64 = 0.3;
-        let log = |row: &Row| row.timestamp as f64;
-        let half_turn = cycle_length(rows, nominal, log)? / SLOTS as f64;
-        let sweep = |row: &Row, half_turn: f64| {
-            (sync_offset(row.kind.station) + f64::from(row.sync_to_sweep) / nominal) * half_turn
-        };
-        // A station's azimuth waits for its elevation, so the elevations tell the time; an
-        // elevation that says the same as the one before is the same sweep once more.
-        let mut said = [(0u32, f64::NEG_INFINITY); 4];
-        let mut sights = Vec::new();
-        for row in rows.iter().filter(|row| row.kind.axis == Axis::El) {
-            let last = &mut said[row.kind.index()];
-            let repeat = last.0 == row.sync_to_sweep && log(row) - last.1 < 3.0 * half_turn;
-            if !repeat {
-                *last = (row.sync_to_sweep, log(row));
-                let time = log(row) - sweep(row, half_turn);
-                sights.push(Sight { time, slot: slot_of(row.kind) });
-            }
-        }
-        let mut grid = Grid::fit(&sights, half_turn, GATE)?;
-        // The fit runs through the middle of the delays; no row is written before its sweep.
-        let mut late: Vec<f64> = sights
-            .iter()
-            .map(|sight| {
-                let at = grid.number_at(sight.time);
-                let cycles = (at - sight.slot as f64) / SLOTS as f64;
-                let near = sight.slot + SLOTS * cycles.round() as i64;
-                sight.time - grid.start(near)
-            })
-            .collect();
-        let earliest = quantile(&mut late, 0.01);
-        grid.knots.iter_mut().for_each(|knot| *knot += earliest);
-        let numbers = rows
-            .iter()
-            .map(|row| {
-                let at = grid.number_at(log(row) - sweep(row, half_turn));
-                let slot = slot_of(row.kind);
-                let cycles = ((at - slot as f64 + GATE) / SLOTS as f64).floor();
-                let number = slot + SLOTS * cycles as i64;
-                (number, at - number as f64)
-            })
-            .collect();
-        Some(Self { stamp: Stamp::Log, grid, numbers })
-    }
-}
-
-/// The usual time between two sweeps of one kind that are one cycle apart.
-fn cycle_length(rows: &[Row], nominal: f64, time: impl Fn(&Row) -> f64) -> Option<f64> {
-    let cycle = SLOTS as f64 * nominal;
-    let mut last: [Option<&Row>; 4] = [None; 4];
-    let mut lengths = Vec::new();
-    for row in rows {
-        let previous = &mut last[row.kind.index()];
-        if previous.is_some_and(|p| time(row) - time(p) < 0.75 * cycle) {
-            continue;
-        }
-        if let Some(previous) = previous.replace(row) {
-            let length = time(row) - time(previous);
-            if length < 1.25 * cycle {
-                lengths.push(length);
-            }
-        }
-    }
-    (lengths.len() >= 8).then(|| median(&mut lengths))
-}
-
-/// A recording on its way into edges.
-struct Play<'a> {
-    rows: &'a [Row],
-    nominal: f64,
-    found: &'a Found,
-    config: &'a LightConfig,
-    /// Mote cycles per timestamp tick.
-    scale: f64,
-    /// Half turns to play, one range per stretch of light.
-    stretches: Vec<(i64, i64)>,
-}
-
-impl<'a> Play<'a> {
-    fn new(rows: &'a [Row], nominal: f64, found: &'a Found, config: &'a LightConfig, clock_hz: f64) -> Self {
-        let slots = |seconds: f64| (seconds * HALF_TURNS_HZ).ceil() as i64;
-        let lead = slots(config.lead_s);
-        let mut numbers: Vec<i64> = found.numbers.iter().map(|n| n.0).collect();
-        numbers.sort_unstable();
-        let mut stretches: Vec<(i64, i64)> = Vec::new();
-        for number in numbers {
-            match stretches.last_mut() {
-                Some((_, last)) if number - *last <= slots(config.silence_s) => *last = number,
-                _ => stretches.push((number, number)),
-            }
-        }
-        for stretch in &mut stretches {
-            *stretch = (stretch.0 - lead, stretch.1 + lead);
-        }
-        // Leads that meet leave nothing dark between them.
-        let mut joined: Vec<(i64, i64)> = Vec::new();
-        for (from, to) in stretches {
-            match joined.last_mut() {
-                Some((_, last)) if from <= *last + 1 => *last = to,
-                _ => joined.push((from, to)),
-            }
-        }
-        let scale = config.mote_hz / clock_hz;
-        Self { rows, nominal, found, config, scale, stretches: joined }
-    }
-
-    /// When half turn `number` began, on the clock of the sweeps. A log's timestamps are on a clock
-    /// of their own, while its sweeps are in exact parts of a half turn, so there it is exact too.
-    fn start(&self, number: i64) -> f64 {
-        match self.found.stamp {
-            Stamp::Log => number as f64 * self.nominal,
-            _ => self.found.grid.start(number),
-        }
-    }
-
-    /// How long half turn `number` lasted, on the clock of the sweeps.
-    fn length(&self, number: i64) -> f64 {
-        self.start(number + 1) - self.start(number)
-    }
-
-    /// A timestamp on the clock of the sweeps.
-    fn time(&self, timestamp: u64) -> f64 {
-        match self.found.stamp {
-            Stamp::Log => self.found.grid.number_at(timestamp as f64) * self.nominal,
-            _ => timestamp as f64,
-        }
-    }
-
-    /// Mote cycle of a time on the clock of the sweeps.
-    fn cycle(&self, time: f64) -> u64 {
-        let origin = self.start(self.stretches[0].0);
-        let start = self.config.start_s * self.config.mote_hz;
-        (start + (time - origin) * self.scale).round().max(0.0) as u64
-    }
-
-    /// Mote cycle at which `station`'s sync in half turn `number` rises.
-    fn sync(&self, station: Station, number: i64) -> u64 {
-        self.cycle(self.start(number) + sync_offset(station) * self.length(number))
-    }
-
-    fn light(&self) -> Light {
-        let rows = self.place_rows();
-        let mut lasers: Vec<(i64, u64)> = self
-            .found
-            .numbers
-            .iter()
-            .zip(&rows)
-            .filter(|(_, row)| !row.repeat)
-            .filter_map(|(&(number, _), row)| Some((number, row.laser.ok()?)))
-            .collect();
-        lasers.sort_unstable();
-        let mut lasers = lasers.into_iter().peekable();
-        let mut edges = Vec::new();
-        let mut pulse = |rise: u64, width: f64| {
-            edges.extend([(rise, true), (rise + width.round().max(1.0) as u64, false)]);
-        };
-        for number in self.stretches.iter().flat_map(|&(from, to)| from..=to) {
-            let length = self.length(number) * self.scale;
-            for station in [Station::A, Station::B] {
-                pulse(self.sync(station, number), sync_width(station, number) * length);
-            }
-            while let Some((_, laser)) = lasers.next_if(|laser| laser.0 == number) {
-                // The mote takes the middle of a laser's pulse; an even width has one to the tick.
-                let half = (0.5 * self.config.sweep_us * 1e-6 * HALF_TURNS_HZ * length).round().max(1.0);
-                pulse(laser - half as u64, 2.0 * half);
-            }
-        }
-        let findings = self.findings(&rows);
-        Light { edges, rows, mote_hz: self.config.mote_hz, findings }
-    }
-
-    /// Gives each row its laser pulse; where two want one slot, the one nearer the grid has it.
-    fn place_rows(&self) -> Vec<PlayedRow> {
-        let off = |row: usize| match self.found.stamp {
-            Stamp::Log => 0.0,
-            _ => self.found.numbers[row].1.abs(),
-        };
-        let mut order: Vec<usize> = (0..self.rows.len()).collect();
-        order.sort_by(|&a, &b| {
-            let number = |row: usize| self.found.numbers[row].0;
-            number(a).cmp(&number(b)).then(off(a).total_cmp(&off(b))).then(a.cmp(&b))
-        });
-        let mut placed: Vec<Option<PlayedRow>> = vec![None; self.rows.len()];
-        let mut taken: Option<(i64, u32)> = None;
-        for index in order {
-            let row = &self.rows[index];
-            let (number, distance) = self.found.numbers[index];
-            let half_turn = self.length(number);
-            let part = f64::from(row.sync_to_sweep) / half_turn;
-            let holder = taken.filter(|holder| holder.0 == number);
-            let same = holder.is_some_and(|holder| holder.1 == row.sync_to_sweep);
-            let laser = if holder.is_some() && !same {
-                Err(Unplayable::SlotTaken)
-            } else if !self.fits(row.kind.station, part) {
-                Err(Unplayable::AmongSyncs)
-            } else {
-                taken = Some((number, row.sync_to_sweep));
-                let ticks = f64::from(row.sync_to_sweep) * self.scale;
-                Ok(self.sync(row.kind.station, number) + ticks.round() as u64)
-            };
-            placed[index] = Some(PlayedRow {
-                cycle: self.cycle(self.time(row.timestamp)),
-                laser,
-                repeat: same,
-                on_grid: match self.found.stamp {
-                    Stamp::Log => same || distance < 2.0,
-                    _ => distance.abs() < ON_GRID,
-                },
-                half_turn,
-            });
-        }
-        placed.into_iter().flatten().collect()
-    }
-
-    /// Whether a sweep at `part` of a half turn after its sync is a pulse of its own.
-    fn fits(&self, station: Station, part: f64) -> bool {
-        let half = 0.5 * self.config.sweep_us * 1e-6 * HALF_TURNS_HZ;
-        let (rise, fall) = (sync_offset(station) + part - half, sync_offset(station) + part + half);
-        rise > B_AFTER_A + LONGEST_SYNC + GUARD && fall < 1.0 - GUARD
-    }
-
-    fn findings(&self, rows: &[PlayedRow]) -> Findings {
-        let grid = &self.found.grid;
-        let numbers = self.found.numbers.iter().map(|n| n.0);
-        let mut lengths: Vec<f64> = numbers.map(|n| grid.length(n)).collect();
-        let half_turn = [0.0, 0.5, 1.0].map(|q| quantile(&mut lengths, q));
-        let us = 1e6 / HALF_TURNS_HZ;
-        let mut offs: Vec<f64> = rows
-            .iter()
-            .zip(&self.found.numbers)
-            .filter(|(row, _)| row.on_grid && !row.repeat)
-            .map(|(_, number)| number.1.abs() * us)
-            .collect();
-        let count = |what: &dyn Fn(&PlayedRow) -> bool| rows.iter().filter(|row| what(row)).count();
-        let seconds = |cycles: u64| cycles as f64 / self.config.mote_hz;
-        Findings {
-            stamp: self.found.stamp,
-            half_turn,
-            residual_us: [0.5, 0.99].map(|q| quantile(&mut offs, q)),
-            on_grid: count(&|row| row.on_grid),
-            off_grid: count(&|row| !row.on_grid),
-            repeats: count(&|row| row.repeat),
-            among_syncs: count(&|row| row.laser == Err(Unplayable::AmongSyncs)),
-            slot_taken: count(&|row| row.laser == Err(Unplayable::SlotTaken)),
-            silences: self
-                .stretches
-                .windows(2)
-                .map(|pair| {
-                    let from = self.cycle(self.start(pair[0].1 + 1));
-                    let to = self.cycle(self.start(pair[1].0));
-                    (seconds(from), seconds(to.saturating_sub(from)))
-                })
-                .collect(),
-            slots: self.stretches.iter().map(|(from, to)| (to - from + 1) as usize).sum(),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::quantile::quantile;
     use crate::recording::tests::shared_recording;
+    use crate::recording::{Axis, Kind};
 
     /// A sweep read back from edges: when it rose, what kind it is, ticks since its own sync.
     #[derive(Debug, PartialEq)]

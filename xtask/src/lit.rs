@@ -11,8 +11,6 @@ use sim::world::{Edge, Scene, World};
 use xtask::pcap;
 use xtask::score::FixRow;
 
-use crate::run::HALF_TURN_S;
-
 /// A fix with what the mote said about it.
 #[derive(Debug, Clone)]
 pub(crate) struct Fix {
@@ -101,16 +99,9 @@ impl Lit {
             let (header, said) = match frame::parse(&sent.bytes) {
                 Ok((header, frame::Message::Fix(report))) => {
                     let sighted = self.mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
-                    let row = FixRow {
-                        cycle: sent.start_cycle,
-                        sighted,
-                        seconds: self.world.seconds(sighted),
-                        position: report.position.map(f64::from),
-                        mismatch_m: f64::from(report.mismatch),
-                        age_s: f64::from(report.age) * HALF_TURN_S,
-                        sequence: header.sequence,
-                        truth: Some(self.world.truth(sighted)),
-                    };
+                    let seconds = self.world.seconds(sighted);
+                    let row = FixRow::of(header, &report, sent.start_cycle, sighted, seconds);
+                    let row = FixRow { truth: Some(self.world.truth(sighted)), ..row };
                     let (level, sd_m, losses) = (report.level, report.sd.map(f64::from), report.losses);
                     (Some(header), Said::Fix(Box::new(Fix { row, sent_s, level, sd_m, losses })))
                 }

@@ -20,6 +20,7 @@ mod faults;
 mod firmware;
 mod fuzz;
 mod lit;
+mod log;
 mod memory;
 mod oracle;
 mod process;

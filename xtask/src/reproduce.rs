@@ -32,7 +32,7 @@ pub(crate) fn reproduce() -> Result<()> {
         run(cargo(&arguments).arg("--manifest-path").arg(copy.join("Cargo.toml")).env("CARGO_TARGET_DIR", &built))?;
         let there = image(&built.join(target).join("release").join(board))?;
         same(board, &here, &there)?;
-        let hash: String = Sha256::digest(&here).iter().map(|byte| format!("{byte:02x}")).collect();
+        let hash = hex::encode(Sha256::digest(&here));
         println!("{board}: {} bytes, SHA-256 {hash}, the same from two folders", here.len());
     }
     Ok(())

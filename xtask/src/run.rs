@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use defmt_decoder::{DecodeError, StreamDecoder, Table};
 use lighthouse_mote::frame::{self, Header, Message, Report};
 use serde_json::{Value, json};
 use sim::mote::{Load, Mote};
@@ -21,7 +20,7 @@ use sim::scum3c::SentFrame;
 use sim::world::{EventKind, Scene, World};
 use xtask::calib::Calibration;
 use xtask::calibrate::lateness::{self, Lateness};
-use xtask::light::{Light, LightConfig};
+use xtask::light::{HALF_TURN_S, Light, LightConfig};
 use xtask::listen::simulate;
 use xtask::output::{self, Run};
 use xtask::pcap;
@@ -31,6 +30,7 @@ use xtask::score::{self, FixRow, Place, Score};
 use xtask::svg::Span;
 
 use crate::firmware;
+use crate::log::Log;
 use crate::process::root;
 use microbit::Stamps;
 
@@ -92,8 +92,6 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Half a turn of a 60 Hz rotor, seconds.
-pub(crate) const HALF_TURN_S: f64 = 1.0 / 120.0;
 /// How often the mote is looked at, seconds of its time.
 const LOOK_S: f64 = 0.05;
 /// A recording is scored sweep by sweep.
@@ -404,16 +402,8 @@ impl Session {
     /// Takes one fix, sent at `cycle`.
     fn take(&mut self, cycle: u64, header: Header, report: Report) -> Result<()> {
         let sighted = self.mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
-        self.fixes.push(FixRow {
-            cycle,
-            sighted,
-            seconds: self.seconds(sighted),
-            position: report.position.map(f64::from),
-            mismatch_m: f64::from(report.mismatch),
-            age_s: f64::from(report.age) * HALF_TURN_S,
-            sequence: header.sequence,
-            truth: self.truth_at(sighted),
-        });
+        let row = FixRow::of(header, &report, cycle, sighted, self.seconds(sighted));
+        self.fixes.push(FixRow { truth: self.truth_at(sighted), ..row });
         self.losses = report.losses;
         Ok(())
     }
@@ -518,40 +508,6 @@ impl Held {
             others,
             more,
         })
-    }
-}
-
-/// What the mote logs over its UART, decoded with the image's own strings.
-pub(crate) struct Log<'t> {
-    decoder: Box<dyn StreamDecoder + Send + Sync + 't>,
-}
-
-impl Log<'_> {
-    pub(crate) fn new(elf: &[u8]) -> Result<Self> {
-        Ok(Self::of(Self::strings(elf)?))
-    }
-
-    /// One of several motes with the same image.
-    pub(crate) fn of(strings: &'static Table) -> Self {
-        Self { decoder: strings.new_stream_decoder() }
-    }
-
-    pub(crate) fn strings(elf: &[u8]) -> Result<&'static Table> {
-        let table = Table::parse(elf)?.context("the image has no log strings")?;
-        // One run, one image: the table lives as long as the program.
-        Ok(Box::leak(Box::new(table)))
-    }
-
-    pub(crate) fn read(&mut self, bytes: &[u8]) -> Vec<String> {
-        self.decoder.received(bytes);
-        let mut lines = Vec::new();
-        loop {
-            match self.decoder.decode() {
-                Ok(frame) => lines.push(format!("mote: {}", frame.display(false))),
-                Err(DecodeError::UnexpectedEof) => return lines,
-                Err(DecodeError::Malformed) => lines.push("mote: a log frame that does not decode".to_string()),
-            }
-        }
     }
 }
 

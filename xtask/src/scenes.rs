@@ -26,14 +26,15 @@ use defmt_decoder::Table;
 use serde_json::{Value, json};
 use sim::world::Scene;
 use xtask::calib::Calibration;
+use xtask::light::HALF_TURN_S;
 use xtask::output::{self, Run};
 use xtask::reference::Room;
 use xtask::score::{FixRow, Score};
 use xtask::svg::{Span, figure};
 
 use crate::firmware;
+use crate::log::Log;
 use crate::process::root;
-use crate::run::{HALF_TURN_S, Log};
 use figures::{Figures, Promise, RECOVERY_MS};
 use list::{Named, Take};
 use play::{Played, play};

@@ -15,12 +15,15 @@
 //! only worth anything together. Without a single fix the errors are not numbers, and are written
 //! as such.
 
-use crate::light::{Light, quantile};
+use lighthouse_mote::frame::{Header, Report};
+
+use crate::light::{HALF_TURN_S, Light};
+use crate::quantile::quantile;
 use crate::recording::{Recording, Row};
 
 /// How long after its sweep a fix may still be reported for it, seconds: less than a half turn, so
 /// that the next sweep's fix is not taken for this one's.
-pub const WINDOW_S: f64 = 0.005;
+const WINDOW_S: f64 = 0.005;
 /// A mote stamps the middle of a laser's pulse to whole ticks.
 const SAME_CYCLES: u64 = 8;
 /// Truth is joined by a line over no longer than this, seconds.
@@ -48,6 +51,20 @@ pub struct FixRow {
 }
 
 impl FixRow {
+    /// What a frame that went out at `cycle` says of a sighting at cycle `sighted`, true second `seconds`.
+    pub fn of(header: Header, report: &Report, cycle: u64, sighted: u64, seconds: f64) -> Self {
+        Self {
+            cycle,
+            sighted,
+            seconds,
+            position: report.position.map(f64::from),
+            mismatch_m: f64::from(report.mismatch),
+            age_s: f64::from(report.age) * HALF_TURN_S,
+            sequence: header.sequence,
+            truth: None,
+        }
+    }
+
     /// Distance from the truth, metres.
     pub fn error_m(&self) -> Option<f64> {
         let truth = self.truth?;
@@ -174,15 +191,7 @@ pub fn recorded_truth(recording: &Recording, light: &Light) -> Vec<Place> {
     rows.map(|(row, played)| (light.seconds(played.cycle), row.truth)).collect()
 }
 
-/// Gives each fix the truth of its time, on a line between the places before and after; none where
-/// those are far apart in time.
-pub fn attach_truth(fixes: &mut [FixRow], places: &[Place]) {
-    for fix in fixes {
-        fix.truth = place_at(places, fix.seconds);
-    }
-}
-
-/// The place at a time, on a line between those before and after.
+/// The place at a time, on a line between those before and after; none where those are far apart in time.
 pub fn place_at(places: &[Place], seconds: f64) -> Option<[f64; 3]> {
     let after = places.partition_point(|place| place.0 < seconds);
     let (t1, p1) = *places.get(after)?;
@@ -263,13 +272,10 @@ pub(crate) mod tests {
     #[test]
     fn truth_is_interpolated_but_not_across_gaps() {
         let places = [(1.0, [0.0; 3]), (1.05, [1.0; 3]), (3.0, [2.0; 3])];
-        let mut fixes: Vec<FixRow> =
-            [500_000, 1_025_000, 2_000_000, 3_000_000, 3_500_000].map(|c| fix(c, [0.0; 3])).into();
-        attach_truth(&mut fixes, &places);
-        assert_eq!(fixes[0].truth, None);
-        assert!((fixes[1].truth.unwrap()[0] - 0.5).abs() < 1e-9);
-        assert_eq!(fixes[2].truth, None);
-        assert_eq!(fixes[3].truth, Some([2.0; 3]));
-        assert_eq!(fixes[4].truth, None);
+        assert_eq!(place_at(&places, 0.5), None);
+        assert!((place_at(&places, 1.025).unwrap()[0] - 0.5).abs() < 1e-9);
+        assert_eq!(place_at(&places, 2.0), None);
+        assert_eq!(place_at(&places, 3.0), Some([2.0; 3]));
+        assert_eq!(place_at(&places, 3.5), None);
     }
 }

@@ -70,11 +70,7 @@ pub(crate) fn emulator() -> Result<()> {
 
 /// Makes sure that there is a C++ compiler, which libFuzzer is written for.
 pub(crate) fn cpp_compiler() -> Result<()> {
-    if runs(Command::new("c++").arg("--version")) {
-        return Ok(());
-    }
-    println!("There is no C++ compiler: installing the package g++ through apt-get.");
-    install("g++").map_err(|error| anyhow!("no C++ compiler could be installed ({error:#}); install one and try again"))
+    package("g++", "There is no C++ compiler", runs(Command::new("c++").arg("--version")))
 }
 
 /// A program of cargo's registry: the one that is installed, or one built for us with `flags`.
@@ -93,29 +89,28 @@ pub(crate) fn tool(name: &str, flags: &[&str]) -> Result<PathBuf> {
 /// Makes sure that there is an MQTT broker to test against. Debian puts it where only root looks.
 pub(crate) fn broker() -> Result<()> {
     let there = ["/usr/sbin/mosquitto", "/usr/bin/mosquitto", "/usr/local/sbin/mosquitto"];
-    if there.iter().any(|path| Path::new(path).is_file()) {
-        return Ok(());
-    }
-    println!("There is no MQTT broker to test against: installing the package mosquitto through apt-get.");
-    install("mosquitto")
+    let is_there = there.iter().any(|path| Path::new(path).is_file());
+    package("mosquitto", "There is no MQTT broker to test against", is_there)
 }
 
 /// Makes sure that there is a tshark, which the tests of what Wireshark shows ask.
 pub(crate) fn tshark() -> Result<()> {
-    if runs(Command::new("tshark").arg("--version")) {
-        return Ok(());
-    }
-    println!("tshark is not installed: installing the package tshark through apt-get.");
-    install("tshark").map_err(|error| anyhow!("tshark could not be installed ({error:#}); install it and try again"))
+    package("tshark", "tshark is not installed", runs(Command::new("tshark").arg("--version")))
 }
 
 /// Makes sure that there is a browser to look at pages with.
 pub(crate) fn browser() -> Result<()> {
-    if runs(Command::new("chromium").arg("--version")) {
+    let is_there = runs(Command::new("chromium").arg("--version"));
+    package("chromium", "There is no browser to test against", is_there)
+}
+
+/// Installs what `is_there` says is missing, after a line that says so.
+fn package(name: &str, missing: &str, is_there: bool) -> Result<()> {
+    if is_there {
         return Ok(());
     }
-    println!("There is no browser to test against: installing the package chromium through apt-get.");
-    install("chromium")
+    println!("{missing}: installing the package {name} through apt-get.");
+    install(name).map_err(|error| anyhow!("{name} could not be installed ({error:#}); install it and try again"))
 }
 
 fn has_board() -> bool {

@@ -25,8 +25,8 @@ use serde_json::{Value, json};
 
 use crate::firmware;
 use crate::lit::Lit;
+use crate::log::Log;
 use crate::process::root;
-use crate::run::Log;
 use compare::Comparison;
 use plan::{Plan, ROUND_S};
 use watch::{Round, Watch};

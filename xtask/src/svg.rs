@@ -11,7 +11,7 @@
 
 use std::fmt::Write;
 
-use crate::light::quantile;
+use crate::quantile::quantile;
 use crate::score::{FixRow, Place, Score};
 
 const WIDTH: f64 = 1240.0;

@@ -9,7 +9,7 @@
 
 use anyhow::{Result, ensure};
 
-use super::hash;
+use super::gather::hash;
 use super::solve::LATEST_S;
 use crate::calib::schema::Calibration;
 use crate::recording::{self, Recording};

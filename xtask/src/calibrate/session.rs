@@ -19,7 +19,8 @@ use sha2::{Digest, Sha256};
 
 use super::points::{FEWEST, Point, Points};
 use super::solve::{Sighting, TruthSample};
-use crate::light::quantile;
+use crate::quantile::quantile;
+use crate::whole;
 
 /// Where angles come from while the session goes on.
 pub trait Source {
@@ -289,7 +290,7 @@ impl Session<'_> {
             let _ = writeln!(text, "{:.6},{},{},{:.8}", sighting.at_s, &name[..1], &name[2..], sighting.angle);
         }
         let file = self.file(&measured.point);
-        super::write_whole(&file, text.as_bytes())?;
+        whole::write(&file, text.as_bytes())?;
         Ok(file)
     }
 

@@ -17,7 +17,7 @@ use sim::world::station::{Optics, Station};
 use super::points::Point;
 use super::session::Source;
 use super::solve::Sighting;
-use super::sweeps::HALF_TURN_S;
+use crate::light::HALF_TURN_S;
 
 /// Standard deviation of an angle, degrees: between a quiet station and what a SCuM chip's timer adds.
 const NOISE_DEG: f64 = 0.05;

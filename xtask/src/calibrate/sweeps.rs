@@ -17,11 +17,10 @@ use nalgebra::Vector3;
 
 use super::capture;
 use super::solve::{Sighting, TruthSample};
-use crate::light::{Light, Stamp, quantile};
+use crate::light::{HALF_TURN_S, Light, Stamp};
+use crate::quantile::quantile;
 use crate::recording::{Recording, Row};
 
-/// Half a turn of a 60 Hz rotor, seconds.
-pub const HALF_TURN_S: f64 = 1.0 / 120.0;
 /// Units of a measured share in a half turn.
 const SHARE: f64 = (1u32 << 20) as f64;
 /// Real half turns have this many ticks on clocks from 1 to 48 MHz.

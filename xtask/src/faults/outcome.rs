@@ -5,9 +5,8 @@ use lighthouse_mote::frame::Reset;
 use super::harm::{Harm, Kind};
 use super::{Address, BACK_S, PAUSE_S, WRONG_S};
 use crate::lit::{Heard, Said};
+use crate::log::is_start;
 
-/// What the mote logs when it starts.
-const BOOTED: &str = "lighthouse mote";
 /// A pause that clear light has by itself, seconds: 15 reports a second, some of whose pulses are lost.
 const USUAL_S: f64 = 0.3;
 
@@ -68,7 +67,7 @@ impl Seen {
     }
 
     pub(super) fn read(&mut self, line: &str) {
-        self.starts += usize::from(line.contains(BOOTED));
+        self.starts += usize::from(is_start(line));
     }
 
     pub(super) fn close(&mut self, end_s: f64) {

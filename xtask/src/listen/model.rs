@@ -25,7 +25,7 @@ use lighthouse_mote::frame::{self, Angles, Factory, Header, Health, Level, Lock,
 use serde::Serialize;
 
 use crate::calib::{Calibration, schema};
-use crate::calibrate::sweeps::HALF_TURN_S;
+use crate::light::HALF_TURN_S;
 use crate::trust::{Guard, Refusal};
 
 /// Of the JSON: raised when a field changes its meaning.
@@ -664,7 +664,7 @@ impl Swarm {
         if let Some(source) = self.sources.get_mut(source) {
             source.rejected += 1;
         }
-        let bytes = bytes.iter().take(127).map(|byte| format!("{byte:02x}")).collect();
+        let bytes = hex::encode(&bytes[..bytes.len().min(127)]);
         Event::Reject(Rejected { time_s: at_s, source: self.name(source), cause, bytes })
     }
 

@@ -152,7 +152,7 @@ fn nrf(line: &[u8]) -> Option<Item> {
 fn received(rest: &[u8]) -> Option<Item> {
     let text = str::from_utf8(rest).ok()?;
     let mut words = text.split_ascii_whitespace();
-    let bytes = hexadecimal(words.next()?)?;
+    let bytes = hex::decode(words.next()?).ok()?;
     if !(SHORTEST_FRAME..=LONGEST_FRAME).contains(&bytes.len()) {
         return None;
     }
@@ -160,13 +160,6 @@ fn received(rest: &[u8]) -> Option<Item> {
     let (power, lqi, _time) = (named("power:")?, named("lqi:")?, named("time:")?);
     let signal = Signal { rssi_dbm: i16::try_from(power).ok(), lqi: u8::try_from(lqi.clamp(0, 255)).ok() };
     Some(Item::Frame(checked(bytes), signal))
-}
-
-fn hexadecimal(text: &str) -> Option<Vec<u8>> {
-    let (pairs, rest) = text.as_bytes().as_chunks::<2>();
-    let digit = |digit: u8| (digit as char).to_digit(16);
-    let bytes = pairs.iter().map(|[high, low]| Some((digit(*high)? << 4 | digit(*low)?) as u8));
-    rest.is_empty().then(|| bytes.collect()).flatten()
 }
 
 /// The frame with its last two bytes made its check sequence, if they are not.
@@ -258,7 +251,7 @@ pub(crate) mod tests {
 
     /// As the nRF Sniffer says it: the check sequence is the radio's own.
     pub(crate) fn line(frame: &[u8]) -> String {
-        let hex: String = frame[..frame.len() - 2].iter().map(|byte| format!("{byte:02x}")).collect();
+        let hex = hex::encode(&frame[..frame.len() - 2]);
         format!("received: {hex}6bc0 power: -52 lqi: 200 time: 34918572\r\n")
     }
 

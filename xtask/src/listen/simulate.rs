@@ -20,8 +20,8 @@ use sim::world::{Scene, World};
 use super::model::{Signal, SourceState};
 use super::source::{Desk, Heard};
 use crate::calib::{Calibration, firmware};
-use crate::calibrate::sweeps::HALF_TURN_S;
 use crate::flash::identity::{self, Change};
+use crate::light::HALF_TURN_S;
 
 /// Most motes that run the firmware: each keeps a core busy 2 % of the time.
 pub const VIRTUAL: u16 = 8;

@@ -13,10 +13,9 @@ use lighthouse_mote::sweep::{Axis as Rotor, HALF_TURN_BITS, Station as Side, Swe
 use serde::Serialize;
 
 use super::play::{Played, Widths};
-use crate::light::quantile;
+use crate::light::HALF_TURNS_HZ;
+use crate::quantile::quantile;
 
-/// Half turns in a second.
-const HALF_TURNS_PER_S: f64 = 120.0;
 /// A full room: flashes of a station, sweeps of a rotor in a second.
 pub const FULL: (f64, f64) = (120.0, 30.0);
 /// Width of a bin of the histogram.
@@ -271,7 +270,7 @@ impl Findings {
         let lock = Lock {
             status: name(played.status),
             acquired_s: acquired.and_then(seconds),
-            acquired_cycles: acquired.and_then(seconds).map(|s| s * HALF_TURNS_PER_S / 4.0),
+            acquired_cycles: acquired.and_then(seconds).map(|s| s * HALF_TURNS_HZ / 4.0),
             lost_s: all(&mut played.lost.iter().copied()),
             lost: played.lost.len(),
             locked_share: if duration_ticks == 0 { 0.0 } else { locked as f64 / duration_ticks as f64 },
@@ -393,7 +392,7 @@ impl Clock {
         let ends = half_turns.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], (_, q8)| {
             [low.min(ppm(ticks(*q8))), high.max(ppm(ticks(*q8)))]
         });
-        let hz = half_turn_ticks * HALF_TURNS_PER_S;
+        let hz = half_turn_ticks * HALF_TURNS_HZ;
         Some(Self {
             hz,
             half_turn_ticks,

@@ -5,14 +5,14 @@
 use std::collections::BTreeSet;
 
 use lighthouse_mote::frame::Level;
-use xtask::light::quantile;
+use xtask::light::HALF_TURN_S;
+use xtask::quantile::quantile;
 use xtask::score::Score;
 
 use super::list::Take;
 use super::play::Played;
 use super::reason::{Reason, said};
 use crate::lit::Fix;
-use crate::run::HALF_TURN_S;
 
 /// Nobody calls a fix wrong that is nearer than this, metres: the worst axis of the 2020 paper's own run had an RMS
 /// error of 5.1 cm.

@@ -12,16 +12,12 @@ use xtask::score::Place;
 
 use super::list::Take;
 use crate::lit::{Fix, Lit, Said};
-use crate::run::Log;
+use crate::log::{Log, is_lock_lost, is_start};
 
 /// How often the mote is looked at, seconds of its time.
 const LOOK_S: f64 = 0.05;
 /// When the timer is set, where a take says so: after bring-up, before the first light, seconds.
 const AGE_AT_S: f64 = 0.03;
-/// What the mote logs when the cycle is lost.
-const LOCK_LOST: &str = "light lost";
-/// What the mote logs when it starts.
-const BOOTED: &str = "lighthouse mote";
 
 /// What came of a take.
 #[derive(Debug, Default)]
@@ -87,8 +83,8 @@ pub(super) fn play(elf: &[u8], strings: &'static Table, take: &Take) -> Result<P
             }
         }
         for line in log.read(&lit.mote.take_log()) {
-            boots += u32::from(line.contains(BOOTED));
-            played.locks_lost += u32::from(line.contains(LOCK_LOST));
+            boots += u32::from(is_start(&line));
+            played.locks_lost += u32::from(is_lock_lost(&line));
             played.log.push(format!("{second:7.2} s  {line}"));
         }
         played.truth.push((second, lit.world.truth(lit.world.cycle(second))));

@@ -7,18 +7,14 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use lighthouse_mote::frame::{Health, Lock, Rejects};
 use serde_json::{Map, Value, json};
-use xtask::light::quantile;
+use xtask::quantile::quantile;
 
 use super::plan::{CLEAR, Meeting};
 use super::{HALF_TURN_WITHIN, LATENCY_S, SPELL_FIXES, SPELL_S, WRONG_SHARE};
 use crate::lit::{Fix, Lit, Said};
-use crate::run::Log;
+use crate::log::{Log, is_lock_lost, is_start};
 use crate::scenes::known_wrong;
 
-/// What the mote logs when it starts.
-const BOOTED: &str = "lighthouse mote";
-/// What the mote logs when the cycle is lost.
-const LOCK_LOST: &str = "light lost";
 /// A scene's last wrong fixes may come while it is over, and what a scene has done to the tracker takes as long to go,
 /// seconds.
 const AFTERMATH_S: f64 = 2.0;
@@ -341,8 +337,8 @@ impl Watch {
             }
         }
         for line in self.log.read(&lit.mote.take_log()) {
-            self.life.starts += u32::from(line.contains(BOOTED));
-            self.round.locks_lost += u32::from(line.contains(LOCK_LOST));
+            self.life.starts += u32::from(is_start(&line));
+            self.round.locks_lost += u32::from(is_lock_lost(&line));
         }
         Ok(())
     }

@@ -12,7 +12,7 @@ use super::residuals::open;
 use super::views::{HEIGHT, WIDTH, panels};
 use super::{Report, sigma};
 use crate::calib::schema::RoomBox;
-use crate::light::quantile;
+use crate::quantile::quantile;
 use crate::svg::{AXES, SOFT, frame, text};
 
 /// Half of what a rotor lights, degrees.

@@ -7,7 +7,7 @@ use std::fmt::Write;
 use super::super::session::{PLACE_S, ROTORS};
 use super::super::solve::Residual;
 use super::{Look, MOST, Report, looks, thin};
-use crate::light::quantile;
+use crate::quantile::quantile;
 use crate::svg::{BLUE, INK, RULE, SOFT, Scale, frame, halo, label, line, range, text};
 
 const WIDTH: f64 = 1056.0;

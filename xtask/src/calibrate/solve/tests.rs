@@ -47,7 +47,7 @@ fn twenty_rooms_come_out_as_the_thousand_of_the_table_do() {
     }
     let quantile = |k: usize, part: f64| {
         let mut values: Vec<f64> = all.iter().map(|row| row[k]).collect();
-        crate::light::quantile(&mut values, part)
+        crate::quantile::quantile(&mut values, part)
     };
     // docs/calibration-oracle.md: medians 0.25 deg, 1.3 cm, 0.025 deg; 95 % within 0.9 deg, 6.2 cm, 0.037 deg. A
     // median of 40 scatters by a fifth, a 95th percentile by a third.

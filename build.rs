@@ -121,6 +121,9 @@ const BOARDS: &[Board] = &[
     },
 ];
 
+/// Bytes of stack more where frames are sealed; a multiple of 8.
+const SEALING: u32 = 2 * 1024;
+
 /// Hands the linker its scripts and each board its memory.
 ///
 /// Here and not in `.cargo/config.toml`, because `RUSTFLAGS` in the environment would silence those.
@@ -145,7 +148,8 @@ fn link() {
         }
         println!("{kind}=--defsym=__flash_size={}", board.flash);
         println!("{kind}=--defsym=__ram_size={}", board.ram);
-        println!("{kind}=--defsym=__stack_size={}", board.stack);
+        let sealing = if env::var_os("CARGO_FEATURE_SECURITY").is_some() { SEALING } else { 0 };
+        println!("{kind}=--defsym=__stack_size={}", board.stack + sealing);
         // `--nmagic`: no page alignment between sections; a mote has no pages.
         for argument in ["--nmagic", "-Tlink.x"] {
             println!("{kind}={argument}");

@@ -3,7 +3,7 @@
 //! What can go wrong: a room that the fixed-point solver cannot hold; it is refused with the number that breaks.
 
 use super::quantise::{self, Baked, Room};
-use super::schema::{Calibration, Error, Estimate, Mote, Name, RoomBox, Rotor, Send, Station};
+use super::schema::{Calibration, Error, Estimate, Mote, Name, RoomBox, Rotor, SEALED_HALF_TURNS, Send, Station};
 use super::solver::Calib;
 use super::volume::{reach, shared_view};
 
@@ -96,9 +96,14 @@ fn send(mote: &Mote) -> String {
     };
     let moved = (mote.moved_m * 65_536.0).round() as u32;
     let heartbeat = (mote.heartbeat_s * 1000.0 / HALF_TURN_MS).round() as u16;
+    // A build without the feature seals nothing.
+    let ahead = match mote.key {
+        Some(_) => "if cfg!(feature = \"security\") { lighthouse_mote::send::SEALING_HALF_TURNS } else { 0 }",
+        None => "0",
+    };
     format!(
         "lighthouse_mote::send::Config {{ when: lighthouse_mote::send::When::{when}, moved_q16: {moved}, \
-         heartbeat_half_turns: {heartbeat} }}"
+         heartbeat_half_turns: {heartbeat}, ahead_half_turns: {ahead} }}"
     )
 }
 
@@ -111,10 +116,18 @@ pub fn max_age_half_turns(calibration: &Calibration) -> u16 {
 /// The constants that a binary includes.
 ///
 /// # Errors
-/// As [`bake`].
+/// As [`bake`]; slots too near each other for a room with a key.
 pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
     let solver = bake(file, calibration)?.baked.emit();
     let mote = calibration.mote;
+    if mote.key.is_some() && mote.sends() == Send::Slotted && mote.report_every_half_turns < SEALED_HALF_TURNS {
+        let what = format!(
+            "{}; where the room has a key, \"slotted\" takes {SEALED_HALF_TURNS} or more",
+            mote.report_every_half_turns
+        );
+        let field = "mote.report_every_half_turns".to_string();
+        return Err(Error { file: file.to_string(), line: 0, field, what });
+    }
     let rotors = calibration.stations.map(|station| {
         let [az, el] = station.factory.each_ref().map(|terms| {
             let [phase, tilt, sin, cos] = rotor(terms);

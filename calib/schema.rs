@@ -20,10 +20,11 @@
 mod table;
 
 use std::fmt;
-use std::path::Path;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 use toml::Spanned;
-use toml::de::DeValue;
+use toml::de::{DeTable, DeValue};
 
 use super::key::{self, Key};
 use table::{At, Source, Table, parse, root, shown};
@@ -161,6 +162,9 @@ impl Send {
 
 /// Half turns that have a number: the bits of a station's frame, which repeats.
 pub const NUMBERED_HALF_TURNS: u16 = 358;
+/// The least for `"slotted"` in a room with a key: a report is sealed for so many half turns
+/// (`lighthouse_mote::send::SEALING_HALF_TURNS`).
+pub const SEALED_HALF_TURNS: u16 = 5;
 
 impl Mote {
     /// Which half turns it reports in.
@@ -176,6 +180,7 @@ impl Mote {
     pub fn among_others(&self) -> Send {
         self.send.unwrap_or(match self.report_every_half_turns {
             0..=1 => Send::Steady,
+            2..SEALED_HALF_TURNS if self.key.is_some() => Send::Jittered,
             2..=NUMBERED_HALF_TURNS => Send::Slotted,
             _ => Send::Jittered,
         })
@@ -262,8 +267,39 @@ pub fn open(path: &Path) -> Result<Calibration, Error> {
 /// The first thing wrong with it.
 pub fn read(file: &str, text: &str) -> Result<Calibration, Error> {
     let source = Source { file, text };
-    let parsed = parse(source)?;
-    let root = root(source, &parsed);
+    calibration(source, &parse(source)?)
+}
+
+/// The same of a room whose key may be elsewhere: it is left out.
+///
+/// # Errors
+/// The first other thing wrong with it.
+#[allow(dead_code, reason = "recordings alone are without their keys")]
+pub fn read_without_key(file: &str, text: &str) -> Result<Calibration, Error> {
+    let source = Source { file, text };
+    let mut parsed = parse(source)?;
+    for (_, table) in parsed.get_mut().iter_mut().filter(|(name, _)| name.get_ref() == "mote") {
+        if let DeValue::Table(mote) = table.get_mut() {
+            mote.remove(KEY_FILE);
+        }
+    }
+    calibration(source, &parsed)
+}
+
+/// The file that a room names for its key, and where in `text` it does.
+#[must_use]
+#[allow(dead_code, reason = "recordings alone are without their keys")]
+pub fn key_file(text: &str) -> Option<(Range<usize>, PathBuf)> {
+    let parsed = DeTable::parse(text).ok()?;
+    let (_, table) = parsed.get_ref().iter().find(|(name, _)| name.get_ref() == "mote")?;
+    let DeValue::Table(mote) = table.get_ref() else { return None };
+    let (_, value) = mote.iter().find(|(name, _)| name.get_ref() == KEY_FILE)?;
+    let DeValue::String(file) = value.get_ref() else { return None };
+    Some((value.span(), PathBuf::from(file.as_ref())))
+}
+
+fn calibration(source: Source<'_>, parsed: &Spanned<DeTable<'_>>) -> Result<Calibration, Error> {
+    let root = root(source, parsed);
     root.only(&["provenance", "station", "room", "mote"])?;
     let provenance = match root.table("provenance")? {
         Some(table) => table.texts()?,
@@ -368,6 +404,9 @@ impl Mote {
     }
 }
 
+/// What names the room's key.
+const KEY_FILE: &str = "key_file";
+
 fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
     table.only(&[
         "id",
@@ -381,7 +420,7 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         "angle_noise_mrad",
         "factory",
         "lone",
-        "key_file",
+        KEY_FILE,
     ])?;
     let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
         // No larger than `max`, so it fits.
@@ -416,7 +455,7 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         table.check(key, flaw)?;
         Ok(value)
     };
-    let key = table.optional("key_file", self::key)?.or(usual.key);
+    let key = table.optional(KEY_FILE, self::key)?.or(usual.key);
     Ok(Mote {
         key,
         send,

@@ -166,6 +166,18 @@ impl Solver {
         send::step(&config.send, config.report_every_half_turns, &mut self.send, (at, before, half_turn), starts)
     }
 
+    /// Whether frames that were made ahead wait for a half turn of the mote's own ([`send::Config::ahead_half_turns`]).
+    #[must_use]
+    pub fn takes_turns(&self, config: &Config) -> bool {
+        config.estimate != Estimate::Angles && self.send.takes_turns(&config.send)
+    }
+
+    /// Whether they are to go out now.
+    #[must_use]
+    pub fn is_turn(&self, config: &Config) -> bool {
+        self.send.is_turn(&config.send, config.report_every_half_turns)
+    }
+
     /// Not inlined: it comes with one sighting in several, and what it needs would be made ready for all of them.
     #[inline(never)]
     fn report(&mut self, config: &Config, sighting: Sighting, at: Ticks, half_turn: HalfTurn) -> Option<Report> {

@@ -6,7 +6,8 @@ mod harness;
 
 use fixed::types::{I16F16, U0F16};
 use lighthouse_mote::frame::{Level, Report};
-use lighthouse_mote::send::{Config, State, When, slot, step};
+use lighthouse_mote::ootx::FRAME_BITS;
+use lighthouse_mote::send::{Config, SEALING_HALF_TURNS, State, When, is_own, slot, step};
 use lighthouse_mote::sweep::HalfTurn;
 use lighthouse_mote::time::{Span, Ticks};
 
@@ -18,7 +19,7 @@ fn half_turn() -> HalfTurn {
 }
 
 const fn sends(when: When) -> Config {
-    Config { when, moved_q16: 0, heartbeat_half_turns: 120 }
+    Config { when, moved_q16: 0, heartbeat_half_turns: 120, ahead_half_turns: 0 }
 }
 
 /// A mote in the light: its half turns have numbers of their own until it sees the station's frame begin.
@@ -72,6 +73,63 @@ mod tests {
                 assert_eq!(own, slot(mote + 5 * every, every));
                 taken[usize::from(own)] = true;
             }
+        }
+    }
+
+    #[test]
+    fn the_first_half_keep_room_between_where_the_station_s_frame_ends_too() {
+        // 358 is so many rounds of them, and none, one, some or all but one half turn more.
+        for every in [2, 3, 4, 5, 7, 8, 9, 13, 17, 21, 51, 71, 119, 179, 357, 358] {
+            // How many of the first half have each half turn of the frame; its end is followed by its beginning.
+            let mut taken = [0u8; FRAME_BITS as usize];
+            for mote in 0..every / 2 {
+                let own = (0..FRAME_BITS).filter(|number| is_own(*number, mote, every));
+                own.for_each(|number| taken[usize::from(number)] += 1);
+            }
+            for number in 0..taken.len() {
+                let next = taken[(number + 1) % taken.len()];
+                assert!(taken[number] + next <= 1, "half turn {} of every {}", number, every);
+            }
+        }
+    }
+
+    #[test]
+    fn all_motes_of_a_room_share_no_half_turn_and_each_has_its_share() {
+        for every in [2, 3, 4, 5, 7, 8, 9, 12, 25, 119, 120, 357, 358] {
+            for number in 0..FRAME_BITS {
+                let motes = (0..every).filter(|mote| is_own(number, *mote, every)).count();
+                assert!(motes == 1 || motes == 0 && number == FRAME_BITS - 1, "{} of every {}", number, every);
+            }
+            let least = u32::from(FRAME_BITS / every) - u32::from(every % 2 == 1);
+            for mote in 0..every {
+                let own = (0..FRAME_BITS).filter(|number| is_own(*number, mote, every)).count() as u32;
+                assert!((least..=least + 2).contains(&own), "mote {} of {}: {}", mote, every, own);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_made_ahead_is_made_once_for_each_turn_and_so_long_before() {
+        let config = Config { ahead_half_turns: SEALING_HALF_TURNS, ..sends(When::Slotted) };
+        for every in [5, 7, 8, 9, 120, 358] {
+            let mut mote = Mote { config, ..Mote::new(3, every, When::Slotted) };
+            let mut plain = Mote::new(3, every, When::Slotted);
+            let mut made = [false; SEALING_HALF_TURNS as usize];
+            // Over many ends of the station's frame, the first of which it saw begin.
+            for number in 0..4_000u32 {
+                if number == 10 {
+                    mote.reads();
+                    plain.reads();
+                }
+                let (makes, sends) = (mote.sees(number, 0, true), plain.sees(number, 0, true));
+                assert_eq!(mote.state.is_turn(&config, every), sends, "{} of every {}", number, every);
+                let made = &mut made[number as usize % usize::from(SEALING_HALF_TURNS)];
+                let was_made = core::mem::replace(made, makes);
+                assert!(number < 20 || was_made == sends, "{} of every {}", number, every);
+            }
+            // In the dark nothing waits.
+            mote.state.forget();
+            assert!(mote.state.is_turn(&config, every) && !mote.state.takes_turns(&config));
         }
     }
 
@@ -151,7 +209,7 @@ mod tests {
 
     #[test]
     fn a_mote_at_rest_sends_its_heartbeat_and_one_that_moves_all() {
-        let config = Config { when: When::Slotted, moved_q16: 655, heartbeat_half_turns: 120 };
+        let config = Config { moved_q16: 655, ..sends(When::Slotted) };
         let mut mote = Mote { config, ..Mote::new(0, 8, When::Slotted) };
         let mut reports = [0; 3];
         for number in 0..3 * 1_200u32 {
@@ -168,7 +226,7 @@ mod tests {
 
     #[test]
     fn what_is_known_less_well_must_move_further_and_another_level_is_news() {
-        let config = Config { when: When::Steady, moved_q16: 100, heartbeat_half_turns: u16::MAX };
+        let config = Config { moved_q16: 100, heartbeat_half_turns: u16::MAX, ..sends(When::Steady) };
         let mut state = State::new(0);
         assert!(state.is_news(&config, &at_rest(0)));
         assert!(!state.is_news(&config, &at_rest(100)) && state.is_news(&config, &at_rest(101)));

@@ -8,9 +8,13 @@ use crate::chain::{Chain, Config, Estimate};
 use crate::edge::Edge;
 use crate::frame::{self, Header, Message, Reset};
 use crate::identity::{self, Block, Identity};
+#[cfg(feature = "security")]
+use crate::on_target::cycle::HALF_TURN;
 use crate::on_target::cycle::{Cycle, PULSES_PER_SLOT};
 use crate::pulse::Pulse;
 use crate::time::{Span, Ticks};
+#[cfg(feature = "security")]
+use crate::{frame::secured::Key, send};
 
 #[allow(clippy::module_inception, reason = "the folder's name, here as in every binary")]
 #[path = "../../src/bin/mote/mod.rs"]
@@ -21,6 +25,8 @@ use mote::crumb::{Crash, Crumb, Kind};
 use mote::edges::Edges;
 use mote::queue::{Queue, Reader, Writer};
 use mote::room;
+#[cfg(feature = "security")]
+use mote::seal::{Kept, Seal};
 use mote::stages::{Board, Classify, Pulses, Queues, Solve};
 
 const LIGHT: Cycle = Cycle::IN_THE_ROOM;
@@ -66,6 +72,9 @@ struct App {
     /// Nobody fetches frames.
     deaf: bool,
     heard: Vec<(Header, Message)>,
+    /// What frames are under, and the counters that they had.
+    #[cfg(feature = "security")]
+    key: Option<(Key, Vec<u32>)>,
 }
 
 impl App {
@@ -75,7 +84,38 @@ impl App {
         }
         let (light, pulses) = leak(Queue::new()).split();
         let (classify, solve, air) = leak(Queues::new()).wire(pulses, reset);
-        Self { config, light, classify, solve, air, deaf: false, heard: Vec::new() }
+        Self {
+            config,
+            light,
+            classify,
+            solve,
+            air,
+            deaf: false,
+            heard: Vec::new(),
+            #[cfg(feature = "security")]
+            key: None,
+        }
+    }
+
+    /// In a room with a key.
+    #[cfg(feature = "security")]
+    fn sealed(config: Config) -> Self {
+        const KEY: [u8; 16] = *b"a room of its ow";
+        static FIRST: identity::FirstCounter = identity::FirstCounter::new();
+        let mut app = Self::new(config, (Reset::PowerOn, 0));
+        app.solve = app.solve.under(Some(Seal::new(&KEY, &FIRST, Box::leak(Box::new(Kept::new())))));
+        app.key = Some((Key::new(&KEY), Vec::new()));
+        app
+    }
+
+    fn read(&mut self, bytes: &[u8]) -> (Header, Message) {
+        #[cfg(feature = "security")]
+        if let Some((key, counters)) = &mut self.key {
+            let (claim, plain) = key.open(bytes).expect("every frame is under the key");
+            counters.push(claim.counter);
+            return frame::parse(plain.bytes()).expect("what was sealed can be read");
+        }
+        frame::parse(bytes).expect("what a mote says can be read")
     }
 
     fn pulse(&mut self, pulse: Pulse) {
@@ -92,9 +132,10 @@ impl App {
     fn solve(&mut self) {
         while self.solve.run(&self.config).more {}
         while !self.deaf
-            && let Some(sent) = self.air.oldest()
+            && let Some(sent) = self.air.oldest().copied()
         {
-            self.heard.push(frame::parse(sent.bytes()).expect("what a mote says can be read"));
+            let heard = self.read(sent.bytes());
+            self.heard.push(heard);
             self.air.pop();
         }
     }
@@ -202,6 +243,90 @@ fn frames_that_nobody_fetches_are_counted_and_the_next_ones_go_out() {
     assert!(lost > 20, "only {lost} lost");
     // A lost frame has no number: what was sent is numbered without a gap.
     assert!(app.heard.iter().enumerate().all(|(n, (header, _))| usize::from(header.sequence) == n));
+}
+
+/// Each frame that leaves in `slots` of the typical cycle: in which of them, and what it is.
+#[cfg(feature = "security")]
+fn departures(app: &mut App, slots: u32) -> Vec<(u32, Message)> {
+    let mut left = Vec::new();
+    for (index, (_, pulse)) in LIGHT.pulses(0, slots).enumerate() {
+        let index = index as u32;
+        app.pulse(pulse);
+        if (index + 1).is_multiple_of(120 * PULSES_PER_SLOT) {
+            app.second(pulse.start.after(pulse.width).after(Span(1)));
+        }
+        left.extend(app.heard.drain(..).map(|(_, message)| (index / PULSES_PER_SLOT, message)));
+    }
+    left
+}
+
+#[cfg(feature = "security")]
+#[test]
+fn sealed_frames_leave_in_the_mote_s_own_half_turns_whatever_sealing_takes() {
+    let config = |every, ahead_half_turns| Config {
+        report_every_half_turns: every,
+        send: send::Config { when: send::When::Slotted, ahead_half_turns, ..room::CONFIG.send },
+        ..room::CONFIG
+    };
+    for every in [5, 8, 9, 60] {
+        let plain = departures(&mut App::new(config(every, 0), (Reset::PowerOn, 0)), 1_200);
+        let mut app = App::sealed(config(every, send::SEALING_HALF_TURNS));
+        let sealed = departures(&mut app, 1_200);
+        let fixes = |left: &[(u32, Message)]| -> Vec<u32> {
+            left.iter().filter(|(_, message)| matches!(message, Message::Fix(_))).map(|(slot, _)| *slot).collect()
+        };
+        let (own, sent) = (fixes(&plain), fixes(&sealed));
+        assert!(sent.len() >= own.len() - 1 && sent.len() > 15, "{} and {} of every {every}", own.len(), sent.len());
+        assert!(sent.iter().all(|slot| own.contains(slot)), "every {every}: {sent:?}, not {own:?}");
+        // Once there are turns, health frames leave behind fixes, and nothing out of turn.
+        let first = sent.first().copied().expect("there are some");
+        for (slot, message) in sealed.iter().filter(|(slot, _)| *slot >= first) {
+            assert!(sent.contains(slot), "every {every}: half turn {slot}: {message:?}");
+        }
+        // Each fix is of the half turn in which its sealing began, so many before.
+        for (slot, message) in &sealed {
+            if let Message::Fix(report) = message {
+                let age = LIGHT.ticks(u64::from(*slot) * HALF_TURN).since(Ticks(report.time));
+                let half_turns = f64::from(age.0) * 120.0 / f64::from(LIGHT.clock);
+                let ahead = f64::from(send::SEALING_HALF_TURNS);
+                assert!((ahead - 1.0..ahead).contains(&half_turns), "every {every}: {half_turns} half turns old");
+            }
+        }
+        let counters = &app.key.as_ref().expect("it has one").1;
+        assert!(counters.is_sorted_by(|a, b| a < b), "{counters:?}");
+    }
+}
+
+#[cfg(feature = "security")]
+#[test]
+fn sealed_frames_are_numbered_without_a_gap_in_the_light_and_in_the_dark() {
+    let mut app = App::sealed(Config {
+        send: send::Config {
+            when: send::When::Slotted,
+            ahead_half_turns: send::SEALING_HALF_TURNS,
+            ..room::CONFIG.send
+        },
+        ..room::CONFIG
+    });
+    for second in 1..=3u32 {
+        app.second(Ticks(LIGHT.start.wrapping_sub(40_000_000).wrapping_add(second * 10_000_000)));
+    }
+    assert_eq!(app.healths().len(), 3);
+    app.shine(0..600);
+    // The light goes out: what waited for its turn goes, and there is health again.
+    let lit = app.heard.len();
+    assert!(lit > 40, "{lit}");
+    for second in 60..=64u32 {
+        app.second(Ticks(LIGHT.start.wrapping_add(second * 10_000_000)));
+    }
+    assert!(app.heard.len() >= lit + 4, "{} after {lit}", app.heard.len());
+    assert!(app.heard.iter().enumerate().all(|(n, (header, _))| usize::from(header.sequence) == n));
+    // Nobody fetches them: what finds no room is lost, and the next ones go out.
+    app.deaf = true;
+    app.shine(1_000..1_600);
+    app.deaf = false;
+    app.shine(1_600..1_840);
+    assert!(app.healths().last().is_some_and(|health| health.rejects.reports > 20), "{:?}", app.healths().last());
 }
 
 #[test]

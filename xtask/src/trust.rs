@@ -16,6 +16,8 @@ use anyhow::{Context, Result, anyhow, bail};
 use lighthouse_mote::frame::secured::{Claim, Key, Open, claim};
 use lighthouse_mote::frame::{Header, Message, Reject, parse};
 
+use crate::calib::{Calibration, schema};
+
 /// Why a frame is not believed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
@@ -216,6 +218,51 @@ pub fn key(path: &Path) -> Result<[u8; 16]> {
     crate::calib::key::open(path).map_err(|error| anyhow!("{error}"))
 }
 
+/// The key of a room: what `LIGHTHOUSE_KEY` names, or else what the room's file does.
+///
+/// # Errors
+/// As [`key`].
+pub fn key_of(room: &Calibration) -> Result<Option<[u8; 16]>> {
+    Ok(key_of_environment()?.or(room.mote.key.map(|key| key.0)))
+}
+
+/// The text of a room's file, to be kept elsewhere: it names its key where that is.
+#[must_use]
+pub fn with_key_in_place(room: &Path, text: &str) -> String {
+    let Some((place, file)) = schema::key_file(text) else { return text.to_string() };
+    let file = room.parent().unwrap_or(Path::new("")).join(file);
+    let Ok(file) = std::path::absolute(&file) else { return text.to_string() };
+    let (before, after) = (text.get(..place.start), text.get(place.end..));
+    let value = toml::Value::String(file.display().to_string());
+    format!("{}{value}{}", before.unwrap_or_default(), after.unwrap_or_default())
+}
+
+/// The room of a recording, `kept` beside it, and the key of its frames: what `LIGHTHOUSE_KEY` names, or else the room
+/// `calib`, or else the room that was kept.
+///
+/// # Errors
+/// A file that cannot be read or understood; a key that the recording's room names and nobody has.
+pub fn of_recording(kept: Option<&Path>, calib: Option<&Path>) -> Result<(Option<Calibration>, Option<[u8; 16]>)> {
+    let mut found = key_of_environment()?;
+    if found.is_none()
+        && let Some(calib) = calib
+    {
+        found = schema::open(calib)?.mote.key.map(|key| key.0);
+    }
+    let Some(kept) = kept else { return Ok((None, found)) };
+    let name = kept.display().to_string();
+    let text = std::fs::read_to_string(kept).with_context(|| name.clone())?;
+    let room = schema::read_without_key(&name, &text)?;
+    if found.is_none()
+        && let Some((_, file)) = schema::key_file(&text)
+    {
+        let file = kept.parent().unwrap_or(Path::new("")).join(file);
+        let missing = "--calib ROOM or LIGHTHOUSE_KEY=FILE names the key of the recorded frames";
+        found = Some(key(&file).with_context(|| format!("{name}: mote.key_file; {missing}"))?);
+    }
+    Ok((Some(room), found))
+}
+
 /// The key that the environment names by `LIGHTHOUSE_KEY`, a key file.
 ///
 /// # Errors
@@ -299,6 +346,37 @@ mod tests {
         assert_eq!(guard.open(&sealed(&KEY, 1, 1)), Err(Refusal::NoKey));
         assert_eq!(guard.open(&[1, 2, 3]), Err(Refusal::NotOurs(Reject::Length)));
         assert_eq!(guard.refused, Refused { no_key: 1, not_ours: 1, ..Refused::default() });
+    }
+
+    #[test]
+    fn slots_that_leave_no_time_to_seal_are_refused_where_there_is_a_key() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../calib/default.toml");
+        let mut room = schema::open(&file).unwrap();
+        let source = |room: &Calibration| crate::calib::firmware::source("lab.toml", room);
+        room.mote.send = Some(schema::Send::Slotted);
+        room.mote.report_every_half_turns = schema::SEALED_HALF_TURNS - 1;
+        assert!(source(&room).is_ok());
+        room.mote.key = Some(crate::calib::key::Key(KEY));
+        let error = source(&room).unwrap_err().to_string();
+        assert!(error.contains("lab.toml: mote.report_every_half_turns: 4; "), "{error}");
+        room.mote.report_every_half_turns += 1;
+        assert!(source(&room).unwrap().contains("SEALING_HALF_TURNS"));
+        // Who asks for nothing gets dice instead.
+        room.mote.send = None;
+        assert_eq!(room.mote.among_others(), schema::Send::Slotted);
+        room.mote.report_every_half_turns -= 1;
+        assert_eq!(room.mote.among_others(), schema::Send::Jittered);
+    }
+
+    #[test]
+    fn a_room_that_is_kept_elsewhere_names_its_key_where_it_is() {
+        let room = |file: &str| format!("# key_file = \"no\"\n[mote]\nid = 3\nkey_file = {file} # ours\npan = 5\n");
+        let kept = with_key_in_place(Path::new("/lab/rooms/a.toml"), &room("'keys/\u{fc}.key'"));
+        assert_eq!(kept, room("\"/lab/rooms/keys/\u{fc}.key\""));
+        assert_eq!(with_key_in_place(Path::new("/elsewhere/b.toml"), &kept), kept);
+        for plain in ["", "[mote]\nid = 3\n", "not a room at all ["] {
+            assert_eq!(with_key_in_place(Path::new("/lab/a.toml"), plain), plain);
+        }
     }
 
     #[test]

@@ -3,14 +3,18 @@
 //! The counter lives in memory that no start-up clears, so that a reset goes on counting. Power-off clears it; it then
 //! begins where the programmer said, which is later each time ([`FirstCounter`]).
 //!
+//! A sealed frame is kept for the mote's turn, which it may have been made for ahead
+//! ([`ahead_half_turns`](lighthouse_mote::send::Config::ahead_half_turns)).
+//!
 //! What can go wrong: power comes back to a mote whose program stayed, as an nRF52840's does, and nobody programmed it
 //! again: its counter begins where it began before, and listeners refuse it as replayed until it has passed what they
 //! know. After power-on the memory is noise; a counter is believed where its complement lies beside it.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use lighthouse_mote::frame::Aligned;
+use heapless::Deque;
 use lighthouse_mote::frame::secured::{KEY_LEN, Key};
+use lighthouse_mote::frame::{Aligned, Report};
 use lighthouse_mote::identity::FirstCounter;
 
 /// The counter of the next frame, and its complement. Any bits are a valid one.
@@ -38,23 +42,57 @@ impl Kept {
     }
 }
 
-/// Secures one frame after the other.
+/// What is sealed next: one frame at a time, and light and transmitter have their say between them.
+#[derive(Debug, Clone, Copy, Default)]
+pub enum Due {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// A report.
+    Report(Report),
+    /// A health frame behind a report, if a second has passed.
+    Health,
+}
+
+/// Frames of one turn: a report and a health frame.
+const TURN: usize = 2;
+
+/// Secures one frame after the other, and keeps them.
 pub struct Seal {
     key: Key,
     counter: u32,
     kept: &'static Kept,
+    /// One more than a turn's, which is more than there should be.
+    frames: Deque<Aligned, { TURN + 1 }>,
 }
 
 impl Seal {
     /// Under that key, from where it was or from where the programmer said, whichever is later.
     pub fn new(key: &[u8; KEY_LEN], first: &'static FirstCounter, kept: &'static Kept) -> Self {
         let first = first.read();
-        Self { key: Key::new(key), counter: kept.counter().unwrap_or(first).max(first), kept }
+        let counter = kept.counter().unwrap_or(first).max(first);
+        Self { key: Key::new(key), counter, kept, frames: Deque::new() }
+    }
+
+    /// Secures the frame that `emit` makes and keeps it; whether there are more than one turn's now, so that the oldest has
+    /// to go.
+    #[inline(always)]
+    pub fn make(&mut self, emit: impl FnOnce(&mut Aligned)) -> bool {
+        let mut frame = Aligned::BLANK;
+        emit(&mut frame);
+        self.seal(&mut frame);
+        let _ = self.frames.push_back(frame);
+        self.frames.len() > TURN
+    }
+
+    /// The oldest one that was kept.
+    pub fn oldest(&mut self) -> Option<Aligned> {
+        self.frames.pop_front()
     }
 
     /// Secures a plain frame where it is.
     #[inline(never)]
-    pub fn seal(&mut self, frame: &mut Aligned) {
+    fn seal(&mut self, frame: &mut Aligned) {
         let counter = self.counter;
         // Used up after 13 years of 10 frames a second: the frame stays plain, which listeners with a key refuse.
         let Some(next) = counter.checked_add(1) else { return };

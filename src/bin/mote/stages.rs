@@ -16,7 +16,7 @@ use lighthouse_mote::time::{Span, Ticks};
 
 use super::queue::{Queue, Reader, Writer};
 #[cfg(feature = "security")]
-use super::seal::Seal;
+use super::seal::{Due, Seal};
 
 /// What the stages need of a board.
 pub trait Board {
@@ -225,6 +225,9 @@ pub struct Solve<B: Board> {
     frames: Frames<B>,
     /// Why the mote started, and where it was then.
     reset: (Reset, u32),
+    /// What is to be sealed next.
+    #[cfg(feature = "security")]
+    due: Due,
 }
 
 impl<B: Board> Solve<B> {
@@ -236,7 +239,16 @@ impl<B: Board> Solve<B> {
         reset: (Reset, u32),
     ) -> Self {
         let solver = Solver::of_mote(B::identity().mote);
-        Self { solver, batch: Batch::default(), sightings, tales, frames, reset }
+        Self {
+            solver,
+            batch: Batch::default(),
+            sightings,
+            tales,
+            frames,
+            reset,
+            #[cfg(feature = "security")]
+            due: Due::Nothing,
+        }
     }
 
     /// Secures every frame from now on.
@@ -249,6 +261,10 @@ impl<B: Board> Solve<B> {
     /// Takes the oldest sighting, or what was told where there is none; one at a time as [`Classify::run`].
     #[inline(always)]
     pub fn run(&mut self, config: &Config) -> Done {
+        #[cfg(feature = "security")]
+        if let Some(passed_on) = self.seal_what_is_due(config) {
+            return Done { passed_on, more: true };
+        }
         let Some(sighting) = self.sightings.oldest() else {
             let passed_on = self.is_free_to_tell() && self.tell(config);
             return Done { passed_on, more: false };
@@ -260,6 +276,21 @@ impl<B: Board> Solve<B> {
         let report = self.solver.step(config, *sighting);
         let angles = if config.estimate == Estimate::Angles { self.batch.step(sighting) } else { None };
         self.sightings.pop();
+        #[cfg(feature = "security")]
+        if self.frames.seal.is_some() {
+            // Out before anything is sealed again, which takes longer than a slot.
+            let mut passed_on = self.solver.is_turn(config) && self.frames.release();
+            if let Some(report) = report {
+                self.due = Due::Report(report);
+            } else if let Some(angles) = angles {
+                self.frames.waits = false;
+                passed_on |= self.frames.put(|frame, header| {
+                    frame::emit_angles_into(frame, header, &angles);
+                });
+            }
+            let is_due = !matches!(self.due, Due::Nothing);
+            return Done { passed_on, more: is_due || self.sightings.oldest().is_some() || self.is_free_to_tell() };
+        }
         let passed_on = match report {
             Some(report) => {
                 let sent = self.frames.send(report);
@@ -273,6 +304,22 @@ impl<B: Board> Solve<B> {
             }),
         };
         Done { passed_on, more: self.sightings.oldest().is_some() || self.is_free_to_tell() }
+    }
+
+    /// Seals one frame where one is due, so that none waits for another's sealing; whether the transmitter has something
+    /// to do then.
+    #[cfg(feature = "security")]
+    #[inline(never)]
+    fn seal_what_is_due(&mut self, config: &Config) -> Option<bool> {
+        match core::mem::take(&mut self.due) {
+            Due::Nothing => None,
+            Due::Report(report) => {
+                self.due = Due::Health;
+                self.frames.waits = self.solver.takes_turns(config);
+                Some(self.frames.send(report))
+            }
+            Due::Health => Some(self.tell(config)),
+        }
     }
 
     /// Whether to tell without waiting for a report: none is to be expected, or none has come for a second.
@@ -291,6 +338,11 @@ impl<B: Board> Solve<B> {
         health.waiting = [told.pulses_waiting, self.sightings.most(), self.frames.queue.most()];
         health.rejects.edges = health.rejects.edges.wrapping_add(B::edges_lost());
         health.rejects.reports = self.frames.lost();
+        // Without a lock there is no turn to come.
+        #[cfg(feature = "security")]
+        {
+            self.frames.waits = told.understood.is_locked() && self.solver.takes_turns(config);
+        }
         self.tales.pop();
         self.frames.put(|frame, header| frame::emit_health_into(frame, header, &health))
     }
@@ -304,6 +356,9 @@ struct Frames<B: Board> {
     lost: u16,
     #[cfg(feature = "security")]
     seal: Option<Seal>,
+    /// What is sealed next waits for the mote's turn.
+    #[cfg(feature = "security")]
+    waits: bool,
     board: PhantomData<B>,
 }
 
@@ -316,6 +371,8 @@ impl<B: Board> Frames<B> {
             lost: 0,
             #[cfg(feature = "security")]
             seal: None,
+            #[cfg(feature = "security")]
+            waits: false,
             board: PhantomData,
         }
     }
@@ -325,23 +382,49 @@ impl<B: Board> Frames<B> {
         self.lost.wrapping_add(B::frames_lost())
     }
 
-    /// Has a frame made; whether there was room for it.
+    /// Has a frame made; whether one goes out. A sealed one may have to wait for the mote's turn.
     #[inline(always)]
     fn put(&mut self, emit: impl FnOnce(&mut Aligned, Header)) -> bool {
         let header = header::<B>(self.sequence);
-        let sent = self.queue.fill(|frame| {
-            emit(frame, header);
-            #[cfg(feature = "security")]
-            if let Some(seal) = &mut self.seal {
-                seal.seal(frame);
+        #[cfg(feature = "security")]
+        if let Some(seal) = &mut self.seal {
+            if self.queue.is_full() {
+                // Not even made: what is lost has no number.
+                self.lost = self.lost.wrapping_add(1);
+                return false;
             }
-        });
+            self.sequence = self.sequence.wrapping_add(1);
+            let crowded = seal.make(|frame| emit(frame, header));
+            // Where no turn came for it, the oldest goes out all the same: a mote is never silent for good.
+            return if self.waits { crowded && self.release_one() } else { self.release() };
+        }
+        let sent = self.queue.fill(|frame| emit(frame, header));
         let count = if sent { &mut self.sequence } else { &mut self.lost };
         *count = count.wrapping_add(1);
         sent
     }
 
-    /// Makes a frame of a report; whether there was room for it.
+    /// Lets all sealed frames go out; whether there was one.
+    #[cfg(feature = "security")]
+    fn release(&mut self) -> bool {
+        let mut any = false;
+        while self.release_one() {
+            any = true;
+        }
+        any
+    }
+
+    /// Lets the oldest sealed frame go out, or be lost where there is no room; whether there was one.
+    #[cfg(feature = "security")]
+    fn release_one(&mut self) -> bool {
+        let Some(frame) = self.seal.as_mut().and_then(Seal::oldest) else { return false };
+        if !self.queue.push(frame) {
+            self.lost = self.lost.wrapping_add(1);
+        }
+        true
+    }
+
+    /// Makes a frame of a report, as [`Self::put`].
     #[inline(never)]
     fn send(&mut self, mut report: Report) -> bool {
         let losses = &mut report.losses;

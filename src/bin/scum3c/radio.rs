@@ -119,7 +119,7 @@ impl Radio {
     fn rest(&mut self) {
         rf_timer::disarm(Alarm::Radio);
         supplies_off();
-        let told = self.frames.oldest().is_some_and(|frame| frame.bytes().len() == HEALTH_LEN);
+        let told = self.frames.oldest().is_some_and(|frame| is_health(frame.bytes().len()));
         self.frames.pop();
         self.state = State::Off;
         if told
@@ -144,6 +144,14 @@ impl Radio {
         self.lc.apply();
         rf_timer::arm(Alarm::Radio, SETTLE);
     }
+}
+
+/// Whether a frame of that length is a health frame, sealed or not.
+#[inline(always)]
+fn is_health(len: usize) -> bool {
+    #[cfg(feature = "security")]
+    let len = if len == HEALTH_LEN + lighthouse_mote::frame::secured::OVERHEAD { HEALTH_LEN } else { len };
+    len == HEALTH_LEN
 }
 
 fn supplies_off() {

@@ -3,7 +3,7 @@
 //! Every mote has its own place, walks its own way, has its own clock, up to 3 % off, and comes into the light at another
 //! time. What it sends has the times of the simulated radio, and the room's air is one.
 //!
-//! What can go wrong: a mote that stops, or that is never heard; both are errors.
+//! What can go wrong: a mote that stops, that is never heard, or whose frames are not under the room's key; all are errors.
 
 use std::num::NonZeroU32;
 
@@ -15,7 +15,7 @@ use sim::world::{Scene, World};
 
 use super::air::{Nanos, Sent, Wish, air_time, unheard};
 use crate::flash::identity::{self, Change};
-use crate::trust::{self, Guard};
+use crate::trust::Guard;
 
 /// The slow end of what the chip's core runs at, Hz: its frames come latest.
 const HCLK_HZ: u32 = 5_000_000;
@@ -38,15 +38,17 @@ pub struct Heard {
     pub lost: usize,
 }
 
-/// Lets `motes` motes run `elf` for `seconds` after all of them have seen a station's frame begin.
+/// Lets `motes` motes run `elf` for `seconds` after all of them have seen a station's frame begin. Where there is a `key`,
+/// every frame must be under it.
 ///
 /// # Errors
 /// A mote that stops, has no identity to change, or sends what is no frame.
-pub fn run(elf: &[u8], motes: u16, seconds: f64, mut done: impl FnMut(u16)) -> Result<Heard> {
+pub fn run(elf: &[u8], key: Option<[u8; 16]>, motes: u16, seconds: f64, mut done: impl FnMut(u16)) -> Result<Heard> {
     let known_s = f64::from(motes) * LATER_S + 2.0 + FRAMES * FRAME_S;
     let mut wishes = Vec::new();
     for id in 0..motes {
-        wishes.extend(one(elf, id, motes, known_s, known_s + seconds).with_context(|| format!("virtual mote {id}"))?);
+        let sent = one(elf, key, id, motes, (known_s, known_s + seconds));
+        wishes.extend(sent.with_context(|| format!("virtual mote {id}"))?);
         done(id);
     }
     let sent = unheard(wishes);
@@ -56,7 +58,7 @@ pub fn run(elf: &[u8], motes: u16, seconds: f64, mut done: impl FnMut(u16)) -> R
 }
 
 /// The frames of one mote between `from_s` and `to_s` of the room's time.
-fn one(elf: &[u8], id: u16, motes: u16, from_s: f64, to_s: f64) -> Result<Vec<Wish>> {
+fn one(elf: &[u8], key: Option<[u8; 16]>, id: u16, motes: u16, (from_s, to_s): (f64, f64)) -> Result<Vec<Wish>> {
     let share = f64::from(id) / f64::from(motes);
     let mut scene = Scene { length_s: to_s, ..Scene::default() };
     scene.clock.nominal_hz = f64::from(HCLK_HZ);
@@ -82,8 +84,10 @@ fn one(elf: &[u8], id: u16, motes: u16, from_s: f64, to_s: f64) -> Result<Vec<Wi
         mote.push_edge(edge.cycle, edge.level)?;
     }
     mote.run_until(end)?;
-    // Where the build has a key, every frame must be under it, and none twice.
-    let mut guard = Guard::new(trust::key_of_environment()?);
+    // Behind a health frame, which it has to know by its length, sealed or not.
+    let powered = mote.machine.bus.powered();
+    ensure!(powered.oscillator > powered.amplifier, "the radio's oscillator was never counted");
+    let mut guard = Guard::new(key);
     let mut wishes = Vec::new();
     for sent in mote.take_frames().collect::<Vec<_>>() {
         let at_s = world.seconds(sent.start_cycle);

@@ -6,9 +6,10 @@
 //!
 //! What can go wrong: motes stand still here, so a pair whose lasers pass at the same moments stays one; real ones walk.
 
+use lighthouse_mote::frame::secured::OVERHEAD;
 use lighthouse_mote::frame::{HEALTH_LEN, LEN};
 use lighthouse_mote::ootx::FRAME_BITS;
-use lighthouse_mote::send::slot;
+use lighthouse_mote::send::is_own;
 
 use super::air::{Nanos, Wish, air_time};
 
@@ -56,6 +57,8 @@ pub struct Swarm {
     pub seconds: u32,
     /// Where they stand and how their dice fall.
     pub seed: u64,
+    /// Frames are under a key, and longer. What is slotted was sealed by the time of its slot.
+    pub is_sealed: bool,
 }
 
 /// A mote that stands somewhere.
@@ -89,12 +92,11 @@ impl Swarm {
     fn one(&self, id: u32, mote: &Mote, dice: &mut fastrand::Rng, wishes: &mut Vec<Wish>, fixes: &mut u32) {
         let half_turns = u64::from(self.seconds) * PER_SECOND;
         let every = u64::from(self.every);
-        let own = u64::from(slot(id as u16, self.every));
         let mut due = mote.phase;
         let mut told = mote.health;
         for half_turn in 0..half_turns {
             let is_due = match self.policy {
-                Policy::Slotted => half_turn % u64::from(FRAME_BITS) % every == own,
+                Policy::Slotted => is_own((half_turn % u64::from(FRAME_BITS)) as u16, id as u16, self.every),
                 _ => half_turn == due,
             };
             if !is_due {
@@ -107,7 +109,8 @@ impl Swarm {
             let mut wish = |half_turn: u64, len: usize, fix: Option<u32>| {
                 let pass = half_turn as f64 * HALF_TURN + mote.passes[half_turn as usize % 4];
                 let solved = SOLVED.0 + (SOLVED.1 - SOLVED.0) * dice.f64();
-                wishes.push(Wish { at: (pass + solved) as Nanos, mote: id, lasts: air_time(len), fix });
+                let lasts = air_time(if self.is_sealed { len + OVERHEAD } else { len });
+                wishes.push(Wish { at: (pass + solved) as Nanos, mote: id, lasts, fix });
             };
             if self.policy == Policy::Raw {
                 (half_turn..half_turn + 4).for_each(|half_turn| wish(half_turn, RAW_LEN, Some(*fixes)));

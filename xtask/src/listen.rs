@@ -91,6 +91,9 @@ pub struct Replay {
     /// How many times as fast as it happened; 0: as fast as possible
     #[arg(long, default_value_t = 1.0, value_parser = speed)]
     speed: f64,
+    /// The room whose key its frames are under [default: the room that was recorded]
+    #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
+    calib: Option<PathBuf>,
     #[command(flatten)]
     views: Views,
 }
@@ -175,7 +178,7 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
     let calibration = schema::open(&calib)?;
     let room = RoomNews::of(&arguments.calib.display().to_string(), &calibration);
     let (mut desk, from) = desk(Some(room));
-    let key = trust::key_of_environment()?.or(calibration.mote.key.map(|key| key.0));
+    let key = trust::key_of(&calibration)?;
     model::lock(&desk.shared).under(key);
     let mut sinks = arguments.views.sinks(&desk.shared)?;
     if key.is_some() {
@@ -226,9 +229,11 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
 /// # Errors
 /// There is none, or a file cannot be written.
 pub fn replay(arguments: &Replay) -> Result<()> {
-    let room = record::room(&arguments.dir).map(|room| RoomNews::open(&room)).transpose()?;
-    let (desk, from) = desk(room);
-    model::lock(&desk.shared).under(trust::key_of_environment()?);
+    let kept = record::room(&arguments.dir);
+    let (room, key) = trust::of_recording(kept.as_deref(), arguments.calib.as_deref())?;
+    let name = kept.unwrap_or_default().display().to_string();
+    let (desk, from) = desk(room.map(|room| RoomNews::of(&name, &room)));
+    model::lock(&desk.shared).under(key);
     let sinks = arguments.views.sinks(&desk.shared)?;
     record::replay(desk.clone(), &arguments.dir, arguments.speed)?;
     Session { desk, from, sinks, ends: true, until: None }.run(&arguments.views)

@@ -364,6 +364,62 @@ fn a_secured_frame_is_believed_once_and_not_again_by_the_next_listener() {
     assert_eq!(fs::read_to_string(&counters).expect("counters"), "4c48 0007 104\n");
 }
 
+#[test]
+fn a_recording_of_a_room_with_a_key_is_replayed_under_it() {
+    const KEY: [u8; 16] = *b"a room of its ow";
+    let home = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| home.path().join(name);
+    let text = |path: &Path| path.to_str().expect("a plain path").to_owned();
+    let frames: Vec<Vec<u8>> = (0..5)
+        .map(|sequence| {
+            let mut frame = Aligned::BLANK;
+            emit_into(&mut frame, Header { pan: 0x4C48, mote: 7, sequence }, &Report::default());
+            assert!(Key::new(&KEY).seal(&mut frame, 100 + u32::from(sequence)));
+            frame.bytes().to_vec()
+        })
+        .collect();
+    fs::write(at("air.pcap"), captured(195, &frames, <[u8]>::to_vec)).expect("a capture");
+    let room = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../calib/default.toml")).expect("a room");
+    let with_key = |name: &str| room.replace("[mote]", &format!("[mote]\nkey_file = \"{name}\""));
+    let hex = KEY.map(|byte| format!("{byte:02x}")).concat();
+    fs::write(at("lab.toml"), with_key("lab.key")).expect("a room");
+    fs::write(at("lab.key"), &hex).expect("a key");
+    let take = text(&at("take"));
+    let words = ["listen", "--calib", &text(&at("lab.toml")), "--capture", &text(&at("air.pcap")), "--record", &take];
+    let done = xtask(&words).args(["--plain"]).output().expect("it starts");
+    assert!(done.status.success(), "{done:?}");
+    let summary = text(&at("all.json"));
+    let words = ["replay", &take, "--speed", "0", "--plain", "--summary", &summary];
+    let motes = |command: &mut Command| {
+        let done = command.output().expect("it starts");
+        assert!(done.status.success(), "{done:?}");
+        let all: Value = serde_json::from_slice(&fs::read(&summary).expect("a summary")).expect("JSON");
+        assert!(all["room"].is_object(), "{all}");
+        all["motes"].as_array().map(Vec::len)
+    };
+    // Where the room's key lies, as long as it does.
+    assert_eq!(motes(&mut xtask(&words)), Some(1));
+    fs::create_dir(at("elsewhere")).expect("a folder");
+    fs::rename(at("lab.key"), at("elsewhere/lab.key")).expect("moved");
+    let lost = xtask(&words).output().expect("it starts");
+    let said = String::from_utf8_lossy(&lost.stderr).into_owned();
+    assert!(!lost.status.success() && said.contains("room.toml") && said.contains("--calib"), "{said}");
+    assert!(said.contains("lab.key") && !said.contains(&hex), "{said}");
+    // In the room that is named, by a flag or as everywhere.
+    fs::write(at("elsewhere/lab.toml"), with_key("lab.key")).expect("a room");
+    let elsewhere = text(&at("elsewhere/lab.toml"));
+    assert_eq!(motes(xtask(&words).args(["--calib", &elsewhere])), Some(1));
+    assert_eq!(motes(xtask(&words).env("LIGHTHOUSE_CALIB", &elsewhere)), Some(1));
+    // And the file that is named counts before all others.
+    fs::write(at("other.key"), "00".repeat(16)).expect("a key");
+    let named = |name: &str| {
+        let mut command = xtask(&words);
+        command.args(["--calib", &elsewhere]).env("LIGHTHOUSE_KEY", at(name));
+        motes(&mut command)
+    };
+    assert_eq!((named("elsewhere/lab.key"), named("other.key")), (Some(1), Some(0)));
+}
+
 /// Frames of a recording, as far as it is whole, and what is wrong with the rest.
 fn frames_of(dir: &Path) -> (u64, anyhow::Result<()>) {
     let mut frames = 0;

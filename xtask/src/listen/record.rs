@@ -25,6 +25,7 @@ use super::model::{self, Cause, Event, Shared, SourceId, SourceState};
 use super::output::{FixRow, HealthRow, Sink, Table, create};
 use super::source::{Desk, Heard, as_heard};
 use crate::calibrate::capture;
+use crate::trust;
 
 /// Bytes that may wait for the next writing.
 const PENDING: usize = 1 << 18;
@@ -67,8 +68,9 @@ impl Recorder {
         }
         fs::create_dir_all(dir).with_context(|| format!("{name}: cannot be made"))?;
         if let Some(room) = room {
-            let text = fs::read(room).with_context(|| room.display().to_string())?;
-            create(&dir.join(ROOM))?.write_all(&text).with_context(|| format!("{name}/{ROOM}"))?;
+            let text = fs::read_to_string(room).with_context(|| room.display().to_string())?;
+            let text = trust::with_key_in_place(room, &text);
+            create(&dir.join(ROOM))?.write_all(text.as_bytes()).with_context(|| format!("{name}/{ROOM}"))?;
         }
         let file = create(&dir.join(AIR))?;
         let now = Instant::now();

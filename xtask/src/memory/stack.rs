@@ -193,6 +193,8 @@ impl Program {
                     // Back to its own first instruction is a loop where nothing was pushed before, a recursion else.
                     Effect::Goes(to) if to == start && function.frame == 0 => {}
                     Effect::Goes(to) => drop(function.calls.insert(to)),
+                    // A far jump: `bl` reaches what a branch does not, and the link register was saved before.
+                    Effect::Calls(to) if (start..stop).contains(&to) && to != start => {}
                     Effect::Calls(to) => drop(function.calls.insert(to)),
                     Effect::CallsThroughRegister => function.calls_through_register = true,
                     Effect::Unknown(why) => bail!("{}, at {at:#x}: {why}", readable(&name)),

@@ -91,7 +91,7 @@ pub const fn slot(mote: u16, every: u16) -> u16 {
 #[inline]
 pub const fn is_own(number: u16, mote: u16, every: u16) -> bool {
     let own = slot(mote, every);
-    let ends = every % 2 != 0 && number == FRAME_BITS - 1;
+    let ends = !every.is_multiple_of(2) && number == FRAME_BITS - 1;
     remainder(number, if every == 0 { 1 } else { every }) == own && !(ends && own.is_multiple_of(2))
 }
 

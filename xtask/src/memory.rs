@@ -42,13 +42,14 @@ struct Board {
     name: &'static str,
     target: &'static str,
     has_floating_point: bool,
-    /// It can put frames under a key.
+    /// Its stack is bounded with a key too. The nRF52840's is not: the panics of the cipher write numbers there, through
+    /// registers; it has 10 KiB, four times what it has ever needed without.
     seals: bool,
 }
 
 const BOARDS: [Board; 3] = [
     Board { name: "scum3c", target: setup::CORTEX_M0, has_floating_point: false, seals: true },
-    Board { name: "nrf52840", target: setup::CORTEX_M4F, has_floating_point: true, seals: true },
+    Board { name: "nrf52840", target: setup::CORTEX_M4F, has_floating_point: true, seals: false },
     Board { name: "microbit", target: setup::CORTEX_M0, has_floating_point: false, seals: false },
 ];
 

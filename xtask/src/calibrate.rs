@@ -15,7 +15,6 @@
 //! See each part; each way has a name and the numbers that show it.
 
 mod account;
-pub mod capture;
 mod gather;
 pub mod judgement;
 pub mod lateness;

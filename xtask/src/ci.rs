@@ -72,7 +72,7 @@ pub(crate) fn ci() -> Result<()> {
     tally.check("soak, half a minute", || soak(&soak::Arguments::SHORT));
     tally.check("faults, a few of each", || faults(&faults::Arguments::SHORT));
     tally.check("calibration beside OpenCV, 20 rooms", || oracle::oracle(20));
-    tally.check("fuzzing for a minute each", || fuzz(&fuzz::Arguments::PLAIN));
+    tally.check("fuzzing for half a minute each", || fuzz(&fuzz::Arguments::PLAIN));
     tally.close()
 }
 

@@ -8,7 +8,6 @@
 //! What can go wrong: arguments are checked and the programmer is found before anything is built; each part says what
 //! else. Nothing is ever called programmed that was not acknowledged as far as the programmer can.
 
-pub mod hdlc;
 pub mod identity;
 pub mod image;
 pub mod line;

@@ -1,4 +1,4 @@
-//! Light and frames that nobody thought of: the fuzz targets, built and let loose for a while.
+//! Light, frames, serial lines and captures that nobody thought of: the fuzz targets, built and let loose for a while.
 //!
 //! The targets are cargo-fuzz's (`fuzz/`), and `cargo fuzz run chain` works where that and its nightly compiler are
 //! installed. Without a sanitizer, which code without `unsafe` has no use for, the pinned compiler instruments just as
@@ -17,10 +17,11 @@ use crate::setup;
 /// What the fuzzer may be told.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// Only this one: chain (light through the whole path) or frame (bytes from the air)
+    /// Only this one: chain (light through the whole path), frame (bytes from the air), serial (a receiver's line) or
+    /// capture (pcap and pcapng)
     target: Option<String>,
     /// How long each is let loose
-    #[arg(long, default_value_t = 60)]
+    #[arg(long, default_value_t = SECONDS)]
     seconds: u32,
     /// Run this one input instead: what an earlier run kept
     #[arg(long, value_name = "FILE", requires = "target")]
@@ -29,10 +30,12 @@ pub(crate) struct Arguments {
 
 impl Arguments {
     /// As when nobody says anything.
-    pub(crate) const PLAIN: Self = Self { target: None, seconds: 60, again: None };
+    pub(crate) const PLAIN: Self = Self { target: None, seconds: SECONDS, again: None };
 }
 
-const TARGETS: [&str; 2] = ["chain", "frame"];
+const TARGETS: [&str; 4] = ["chain", "frame", "serial", "capture"];
+/// How long each is let loose unless told: two minutes together.
+const SECONDS: u32 = 30;
 /// Where everything of the fuzzer's goes.
 const OUT: &str = "target/fuzz";
 /// The longest input in bytes: a few hundred orders to the light.
@@ -48,7 +51,7 @@ pub(crate) fn fuzz(arguments: &Arguments) -> Result<()> {
         None => TARGETS.to_vec(),
         Some(name) => match TARGETS.iter().find(|target| *target == name) {
             Some(target) => vec![target],
-            None => bail!("no fuzz target {name}; there are {}", TARGETS.join(" and ")),
+            None => bail!("no fuzz target {name}; there are {}", TARGETS.join(", ")),
         },
     };
     setup::cpp_compiler()?;

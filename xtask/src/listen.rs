@@ -1,6 +1,6 @@
 //! From the air to the desk: one mote or a swarm.
 //!
-//! One way: a [`source`] hands over frames (through [`receiver`] what a serial line says), [`model`] makes of them what is
+//! One way: a [`source`] hands over frames (through [`air::receiver`] what a serial line says), [`model`] makes of them what is
 //! known of every mote, and views show that: [`dashboard`] in a terminal, lines where there is none, [`web`] in browsers, and
 //! [`output`], [`record`] and [`mqtt`] for other programs. [`simulate`] plays motes, [`measure`] weighs it all. `docs/listening.md` is
 //! the manual.
@@ -16,6 +16,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use air::receiver::Kind;
 use anyhow::{Context, Result, bail};
 
 mod counters;
@@ -24,7 +25,6 @@ pub mod measure;
 pub mod model;
 pub mod mqtt;
 pub mod output;
-pub mod receiver;
 pub mod record;
 pub mod simulate;
 pub mod source;
@@ -35,7 +35,6 @@ use self::dashboard::{Dashboard, Wish};
 use self::model::{Cause, RoomNews, Shared, Snapshot, SourceId, SourceState, Swarm};
 use self::mqtt::{Broker, Mqtt};
 use self::output::{JsonLines, ReaderGone, Sink, Table};
-use self::receiver::Kind;
 use self::record::Recorder;
 use self::source::{Desk, Heard};
 use self::web::Web;

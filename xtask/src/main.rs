@@ -117,9 +117,9 @@ enum Verb {
     /// Installs what that needs: the Rust target of the mote's processor through rustup, and QEMU through the
     /// system's package manager.
     Test,
-    /// Let loose on the firmware's code what nobody thought of: maimed light through the whole path, bytes as frames
+    /// Let loose what nobody thought of: maimed light through the whole path, bytes as frames, serial lines, captures
     ///
-    /// A minute each. What crashes is kept under target/fuzz, with what to type to run it again.
+    /// Half a minute each. What crashes is kept under target/fuzz, with what to type to run it again.
     Fuzz(fuzz::Arguments),
     /// Count every number of the README and the docs anew, and see that the texts say just that
     ///

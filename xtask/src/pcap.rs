@@ -81,6 +81,21 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn what_a_run_writes_is_read_back() {
+        let all: Vec<Frame> = (0..3).map(|n| Frame { micros: n, bytes: vec![n as u8; 20] }).collect();
+        let mut bytes = Vec::new();
+        write(&all, &mut bytes).unwrap();
+        let mut read = Vec::new();
+        air::capture::records("air.pcap", &bytes[..], |record| {
+            let micros = record.at.expect("a time").as_micros() as u64;
+            read.push(Frame { micros, bytes: record.frame.as_deref().expect("a frame").to_vec() });
+            true
+        })
+        .unwrap();
+        assert_eq!(read, all);
+    }
+
+    #[test]
     fn a_frame_too_long_for_the_radio_is_refused() {
         let frames = [Frame { micros: 0, bytes: vec![0; 128] }];
         let error = write(&frames, &mut Vec::new()).unwrap_err();

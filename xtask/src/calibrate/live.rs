@@ -13,9 +13,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, channel};
 use std::time::Duration;
 
+use air::capture::{self, EndOfNow, Growing};
 use anyhow::{Context, Result, anyhow};
 
-use super::capture::{self, EndOfNow, Growing};
 use super::points::Point;
 use super::session::Source;
 use super::solve::Sighting;

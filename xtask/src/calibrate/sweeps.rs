@@ -11,11 +11,11 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
+use air::capture;
 use anyhow::{Context, Result, bail, ensure};
 use lighthouse_mote::frame::{self, Measured, Message};
 use nalgebra::Vector3;
 
-use super::capture;
 use super::solve::{Sighting, TruthSample};
 use crate::light::{HALF_TURN_S, Light, Stamp};
 use crate::quantile::quantile;

@@ -12,9 +12,9 @@
 use std::thread::sleep;
 use std::time::Duration;
 
+use air::hdlc;
 use anyhow::{Context, Result};
 
-use super::hdlc;
 use super::image::{self, Image};
 use super::line::{Line, Trouble};
 use super::{Progress, Timing};

@@ -20,6 +20,9 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+pub use air::receiver::Signal;
+
+use air::receiver::Damage;
 use anyhow::Result;
 use lighthouse_mote::frame::{self, Angles, Factory, Header, Health, Level, Lock, Message, Reject, Report, Reset};
 use serde::Serialize;
@@ -67,15 +70,6 @@ pub fn lock(shared: &Shared) -> MutexGuard<'_, Swarm> {
 
 /// Which receiver: an index into [`Snapshot::sources`].
 pub type SourceId = usize;
-
-/// How well a receiver heard a frame; what it does not say is none.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Signal {
-    /// Received power, dBm.
-    pub rssi_dbm: Option<i16>,
-    /// Link quality, 0 ..= 255, of the receiver's own making.
-    pub lqi: Option<u8>,
-}
 
 /// Why something that was received is not shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -172,6 +166,16 @@ impl From<Reject> for Cause {
             Reject::Mote => Self::Mote,
             Reject::Level => Self::Level,
             Reject::Code => Self::Code,
+        }
+    }
+}
+
+impl From<Damage> for Cause {
+    fn from(damage: Damage) -> Self {
+        match damage {
+            Damage::Fcs => Self::Fcs,
+            Damage::Line => Self::Line,
+            Damage::Hdlc => Self::Hdlc,
         }
     }
 }

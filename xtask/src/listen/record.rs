@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use air::capture;
 use anyhow::{Context, Result, bail};
 use pcap_file::DataLink;
 use pcap_file::pcapng::PcapNgWriter;
@@ -24,7 +25,6 @@ use pcap_file::pcapng::blocks::interface_description::{InterfaceDescriptionBlock
 use super::model::{self, Cause, Event, Shared, SourceId, SourceState};
 use super::output::{FixRow, HealthRow, Sink, Table, create};
 use super::source::{Desk, Heard, as_heard};
-use crate::calibrate::capture;
 use crate::trust;
 
 /// Bytes that may wait for the next writing.

@@ -14,12 +14,12 @@ use std::sync::mpsc::SyncSender;
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
+use air::capture::{self, Record};
+use air::receiver::{Item, Kind};
 use anyhow::{Context, Result, ensure};
 use serialport::SerialPortInfo;
 
 use super::model::{self, Cause, Shared, Signal, SourceId, SourceState};
-use super::receiver::{Item, Kind};
-use crate::calibrate::capture::{self, Record};
 use crate::flash::line::{Line, Trouble};
 use crate::flash::port::{self, SEGGER};
 
@@ -165,7 +165,7 @@ fn hear(
         ear.hear(&bytes[..count], |item| {
             desk.say(match item {
                 Item::Frame(bytes, signal) => Heard::Frame(source, now_s, bytes, signal),
-                Item::Bad(cause, bytes) => Heard::Bad(source, now_s, cause, bytes),
+                Item::Bad(cause, bytes) => Heard::Bad(source, now_s, cause.into(), bytes),
             });
         });
     }

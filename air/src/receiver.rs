@@ -1,10 +1,11 @@
-//! What receivers say over a serial line, taken apart: nothing here opens anything, so that any bytes can be tried.
+//! What receivers say over a serial line, taken apart.
 //!
 //! # nRF Sniffer for 802.15.4
 //! Lines of text. It takes `sleep`, `channel N` and `receive`, each ended by `\r\n`, and says for each frame
 //! `received: HEX power: DBM lqi: N time: MICROSECONDS`. The hexadecimal ends with the two bytes of the check sequence,
 //! which its radio has checked and overwritten: they are made anew. Its echo and its prompt are text like any other and
-//! mean nothing. (NordicSemiconductor/nRF-Sniffer-for-802.15.4, `nrf802154_sniffer.py`.)
+//! mean nothing, as long as they are text and have none of a frame's words. (NordicSemiconductor/nRF-Sniffer-for-802.15.4,
+//! `nrf802154_sniffer.py`.)
 //!
 //! # OpenMote
 //! HDLC frames, of two firmwares. OpenWSN's `03oos_sniffer` sends `P`, two bytes of its own id, the frame and the channel
@@ -12,14 +13,36 @@
 //! frame, zeros up to 60 bytes, the power and a byte of which bit 7 says that the check sequence fitted
 //! (imec-idlab/OpenMote-CC2538-Sniffer, `SnifferCommon.cpp`; the power is 73 dB off, CC2538 user's guide 23.10.3).
 //!
-//! What can go wrong: an OpenWSN sniffer whose radio overwrites the check sequence hands over damaged frames as if they
+//! What can go wrong: a digit that changes on the way from the nRF Sniffer is a changed frame whose check sequence fits, for
+//! its own is lost; USB checks what it carries. An OpenWSN sniffer whose radio overwrites the check sequence hands over damaged frames as if they
 //! were sound. As soon as one right check sequence came from a receiver, all are looked at.
 
 use lighthouse_mote::frame::{self, fcs};
 
-use super::model::{Cause, Signal};
-use crate::calibrate::capture::with_check;
-use crate::flash::hdlc::Decoder;
+use serde::Serialize;
+
+use crate::capture::with_check;
+use crate::hdlc::Decoder;
+
+/// How well a receiver heard a frame; what it does not say is none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Signal {
+    /// Received power, dBm.
+    pub rssi_dbm: Option<i16>,
+    /// Link quality, 0 ..= 255, of the receiver's own making.
+    pub lqi: Option<u8>,
+}
+
+/// Why something is no frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Damage {
+    /// The receiver found the check sequence wrong.
+    Fcs,
+    /// The receiver's protocol does not have it.
+    Line,
+    /// HDLC's check sequence or stuffing is wrong.
+    Hdlc,
+}
 
 /// What came over the line.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -27,11 +50,12 @@ pub enum Item {
     /// A frame with its check sequence.
     Frame(Vec<u8>, Signal),
     /// Something that should have been one.
-    Bad(Cause, Vec<u8>),
+    Bad(Damage, Vec<u8>),
 }
 
 /// The receivers there are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum Kind {
     /// An nRF52840 with Nordic's nRF Sniffer for 802.15.4
     Nrf,
@@ -88,13 +112,13 @@ impl Ear {
     /// Takes bytes as they come.
     pub fn hear(&mut self, bytes: &[u8], mut take: impl FnMut(Item)) {
         match self {
-            Self::Nrf(lines) => bytes.iter().filter_map(|byte| lines.take(*byte)).for_each(take),
+            Self::Nrf(lines) => bytes.iter().for_each(|byte| lines.hear(*byte, &mut take)),
             Self::Openmote { decoder, has_check } => {
                 for byte in bytes {
                     let item = match decoder.take(*byte) {
                         None => continue,
                         Some(Ok(payload)) => openmote(&payload, has_check),
-                        Some(Err(bytes)) => Some(Item::Bad(Cause::Hdlc, bytes)),
+                        Some(Err(bytes)) => Some(Item::Bad(Damage::Hdlc, bytes)),
                     };
                     item.into_iter().for_each(&mut take);
                 }
@@ -103,6 +127,10 @@ impl Ear {
     }
 }
 
+/// What stands before a frame of the nRF Sniffer's.
+const BEGINS: &[u8] = b"received:";
+/// What the nRF Sniffer says of nothing but a frame.
+const WORDS: [&[u8]; 4] = [BEGINS, b"power:", b"lqi:", b"time:"];
 /// Longest line of the nRF Sniffer: 127 bytes in hexadecimal and what stands around them is 320.
 const LONGEST_LINE: usize = 512;
 /// Most bytes of a frame: aMaxPHYPacketSize.
@@ -114,41 +142,60 @@ const SHORTEST_FRAME: usize = 5;
 #[derive(Debug, Default)]
 pub struct Lines {
     line: Vec<u8>,
-    /// The rest of a line too long is thrown away.
+    /// The rest of a line too long is none either.
     overlong: bool,
 }
 
 impl Lines {
-    fn take(&mut self, byte: u8) -> Option<Item> {
-        if byte != b'\n' {
-            if self.overlong {
-                return None;
-            }
+    fn hear(&mut self, byte: u8, take: &mut impl FnMut(Item)) {
+        let ends = byte == b'\n';
+        if !ends {
             self.line.push(byte);
             if self.line.len() < LONGEST_LINE {
-                return None;
+                return;
             }
-            self.overlong = true;
-            return Some(Item::Bad(Cause::Line, std::mem::take(&mut self.line)));
         }
-        self.overlong = false;
         let line = std::mem::take(&mut self.line);
-        nrf(&line)
+        match (ends, self.overlong) {
+            (true, false) => nrf(&line, take),
+            (true, true) if line.is_empty() => {}
+            _ => take(Item::Bad(Damage::Line, line)),
+        }
+        self.overlong = !ends;
     }
 }
 
-/// One line; nothing if it is talk.
-fn nrf(line: &[u8]) -> Option<Item> {
-    const BEGINS: &[u8] = b"received:";
-    let Some(at) = line.windows(BEGINS.len()).position(|window| window == BEGINS) else {
-        // The prompt of a shell has escape sequences.
-        let talk = line.iter().all(|byte| matches!(byte, b' '..=b'~' | b'\r' | b'\t' | 0x08 | 0x1B));
-        return (!talk).then(|| Item::Bad(Cause::Line, line.to_vec()));
-    };
-    let frame = line.get(at + BEGINS.len()..).and_then(received);
-    Some(frame.unwrap_or_else(|| Item::Bad(Cause::Line, line.to_vec())))
+/// One line: what stands before its first frame, and each frame, as more follow where an end of line was lost.
+fn nrf(line: &[u8], take: &mut impl FnMut(Item)) {
+    let mut rest = line;
+    while let Some(at) = find(rest, BEGINS) {
+        let (before, from) = rest.split_at(at);
+        let length = find(&from[BEGINS.len()..], BEGINS).map_or(from.len(), |next| BEGINS.len() + next);
+        let (one, after) = from.split_at(length);
+        talk(before, take);
+        take(received(&one[BEGINS.len()..]).unwrap_or_else(|| Item::Bad(Damage::Line, one.to_vec())));
+        rest = after;
+    }
+    talk(rest, take);
 }
 
+fn find(bytes: &[u8], word: &[u8]) -> Option<usize> {
+    bytes.windows(word.len()).position(|window| window == word)
+}
+
+/// Whether it means nothing. The prompt of a shell has escape sequences.
+fn is_talk(bytes: &[u8]) -> bool {
+    let is_text = bytes.iter().all(|byte| matches!(byte, b' '..=b'~' | b'\r' | b'\t' | 0x08 | 0x1B));
+    is_text && WORDS.iter().all(|word| find(bytes, word).is_none())
+}
+
+fn talk(bytes: &[u8], take: &mut impl FnMut(Item)) {
+    if !is_talk(bytes) {
+        take(Item::Bad(Damage::Line, bytes.to_vec()));
+    }
+}
+
+/// What stands behind [`BEGINS`].
 fn received(rest: &[u8]) -> Option<Item> {
     let text = str::from_utf8(rest).ok()?;
     let mut words = text.split_ascii_whitespace();
@@ -158,6 +205,9 @@ fn received(rest: &[u8]) -> Option<Item> {
     }
     let mut named = |name| if words.next()? == name { words.next()?.parse::<i64>().ok() } else { None };
     let (power, lqi, _time) = (named("power:")?, named("lqi:")?, named("time:")?);
+    if !words.all(|word| is_talk(word.as_bytes())) {
+        return None;
+    }
     let signal = Signal { rssi_dbm: i16::try_from(power).ok(), lqi: u8::try_from(lqi.clamp(0, 255)).ok() };
     Some(Item::Frame(checked(bytes), signal))
 }
@@ -184,14 +234,14 @@ const CHECKED: u8 = 0x80;
 
 /// One HDLC payload; nothing if it is of another kind.
 fn openmote(payload: &[u8], has_check: &mut bool) -> Option<Item> {
-    let bad = || Some(Item::Bad(Cause::Line, payload.to_vec()));
+    let bad = || Some(Item::Bad(Damage::Line, payload.to_vec()));
     if payload.get(12..ETHERNET_HEADER) == Some(&ETHERNET_TYPE) {
         let Some((body, &[power, flags])) = payload[ETHERNET_HEADER..].split_last_chunk::<2>() else { return bad() };
         let power = i16::from(power.cast_signed()) - RSSI_OFFSET_DB;
         let signal = Signal { rssi_dbm: Some(power), lqi: Some(flags & !CHECKED) };
         let Some(frame) = ethernet(body, payload.len() == ETHERNET_SHORTEST) else { return bad() };
         return Some(match flags & CHECKED {
-            0 => Item::Bad(Cause::Fcs, frame),
+            0 => Item::Bad(Damage::Fcs, frame),
             _ => Item::Frame(frame, signal),
         });
     }
@@ -232,12 +282,12 @@ fn ethernet(body: &[u8], padded: bool) -> Option<Vec<u8>> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use lighthouse_mote::frame::{Header, Report, emit};
     use proptest::prelude::*;
 
     use super::*;
-    use crate::flash::hdlc::encode;
+    use crate::hdlc::encode;
 
     fn frame() -> Vec<u8> {
         emit(Header { pan: 0x4C48, mote: 9, sequence: 77 }, &Report::default()).to_vec()
@@ -250,7 +300,7 @@ pub(crate) mod tests {
     }
 
     /// As the nRF Sniffer says it: the check sequence is the radio's own.
-    pub(crate) fn line(frame: &[u8]) -> String {
+    fn line(frame: &[u8]) -> String {
         let hex = hex::encode(&frame[..frame.len() - 2]);
         format!("received: {hex}6bc0 power: -52 lqi: 200 time: 34918572\r\n")
     }
@@ -265,19 +315,46 @@ pub(crate) mod tests {
 
     #[test]
     fn a_line_that_is_none_is_counted_and_the_next_is_read() {
-        let long = "received: ".to_owned() + &"ab".repeat(3000) + "\n";
         let bad = [
             &b"received: 0 power: 1 lqi: 1 time: 1\n"[..],
             b"received: 0102030405zz power: 1 lqi: 1 time: 1\n",
             b"received: 010203040506 power: 1 time: 1\n",
             b"received: \xff\xfe\n",
             b"\x00\x80garbage\n",
-            long.as_bytes(),
+            // One byte of what begins a frame, and of what ends the line before.
+            b"recexved: 010203040506 power: 1 lqi: 1 time: 1\n",
+            b"received: 010203040506 power: 1 lqi: 1 time: 1 \x80\n",
+            b"received: 010203040506 power: 1 lqi: 1 time: 1 power: 2\n",
         ];
         for bad in bad {
             let items = hear(Kind::Nrf, &[bad, line(&frame()).as_bytes()].concat());
-            let [Item::Bad(Cause::Line, _), Item::Frame(good, _)] = &items[..] else { panic!("{bad:?}: {items:?}") };
+            let [Item::Bad(Damage::Line, _), Item::Frame(good, _)] = &items[..] else { panic!("{bad:?}: {items:?}") };
             assert_eq!(*good, frame());
+        }
+    }
+
+    #[test]
+    fn frames_whose_line_lost_its_end_are_all_read() {
+        let said = line(&frame());
+        let stream = [said.trim_end(), "\r", &said[..20], &said, &said].concat();
+        let items = hear(Kind::Nrf, stream.as_bytes());
+        let [Item::Frame(..), Item::Bad(Damage::Line, half), Item::Frame(..), Item::Frame(..)] = &items[..] else {
+            panic!("{items:?}")
+        };
+        assert_eq!(half, &said.as_bytes()[..20]);
+    }
+
+    #[test]
+    fn every_byte_of_a_line_too_long_is_counted() {
+        for extra in [0, 1, LONGEST_LINE, 6000] {
+            let long = ["received: ", &"ab".repeat(LONGEST_LINE), &"c".repeat(extra)].concat();
+            let mut items = hear(Kind::Nrf, [&long, "\n", &line(&frame())].concat().as_bytes());
+            assert!(matches!(items.pop(), Some(Item::Frame(..))), "{extra}");
+            let bad = items.iter().map(|item| match item {
+                Item::Bad(Damage::Line, bytes) if bytes.len() <= LONGEST_LINE => bytes.len(),
+                other => panic!("{other:?}"),
+            });
+            assert_eq!(bad.sum::<usize>(), long.len());
         }
     }
 
@@ -308,7 +385,7 @@ pub(crate) mod tests {
         assert_eq!(hear(Kind::Openmote, &packet(&frame(), CHECKED | 100)), [Item::Frame(frame(), signal)]);
         let short = with_check(&[1, 2, 3, 4, 5, 6, 0]);
         assert_eq!(hear(Kind::Openmote, &packet(&short, CHECKED | 100)), [Item::Frame(short, signal)]);
-        assert_eq!(hear(Kind::Openmote, &packet(bare, 100)), [Item::Bad(Cause::Fcs, frame())]);
+        assert_eq!(hear(Kind::Openmote, &packet(bare, 100)), [Item::Bad(Damage::Fcs, frame())]);
     }
 
     proptest! {

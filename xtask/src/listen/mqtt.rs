@@ -5,9 +5,12 @@
 //! `docs/listening.md` lists topic and payload.
 //!
 //! # Design
-//! Several gateways may hear the same mote. Each listens to the topics that it writes, and keeps silent about a report
-//! whose sequence another has published already, or a newer one: the fastest speaks, and when that one no longer hears
-//! the mote the next does. Two that are equally fast may both say the same; it is the same topic and sequence.
+//! Several gateways may hear the same mote. One of them speaks for it: whoever said the newest sequence first, in the
+//! order in which the broker hands the messages on, which is the same order for all of them. It publishes at once. The
+//! others hold a report back for a while, each for another, and drop it when the speaker says that sequence or a newer one
+//! meanwhile; when nobody does, they publish it, and whoever came first speaks from then on. So a mote that two gateways
+//! hear equally well and equally fast is published once, and a gateway that no longer hears it is followed by another within
+//! half a second. Two may still say the same where both begin, or both take over, within the time a message takes.
 //!
 //! What can go wrong: no broker, or one that goes away. It is tried again every second, and what happened meanwhile is
 //! not sent late: only the newest counts.
@@ -27,7 +30,11 @@ use super::output::Sink;
 
 /// Least time between two messages of one mote.
 const EVERY: Duration = Duration::from_millis(100);
-/// After so long another gateway's last message no longer counts.
+/// How long a report is held back where another gateway speaks for the mote: that one's next message is due, and another.
+const HELD: Duration = Duration::from_millis(200);
+/// And more, at random, so that of several one is the first; that alone where nobody speaks yet. They look every 50 ms.
+const SCATTER: Duration = Duration::from_millis(300);
+/// After so long a mote may have started anew: another gateway's last sequence no longer counts.
 const FOREIGN: Duration = Duration::from_secs(5);
 /// How long the broker may say nothing.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
@@ -75,15 +82,42 @@ struct Payload<'a> {
     mote: &'a MoteNews,
 }
 
-/// What is read of another gateway's.
+/// What is read of one, ours among them.
 #[derive(Debug, Deserialize)]
-struct Foreign {
+struct Said {
     gateway: String,
     sequence: u16,
 }
 
-/// Topics and what other gateways said there last.
-type Others = Arc<Mutex<BTreeMap<String, (u16, Instant)>>>;
+/// Who speaks for each topic.
+type Speakers = Arc<Mutex<BTreeMap<String, Speaker>>>;
+
+/// A gateway that speaks for a mote.
+#[derive(Debug, Clone)]
+struct Speaker {
+    /// None for this one.
+    gateway: Option<String>,
+    /// What it said last.
+    sequence: u16,
+    said: Instant,
+}
+
+impl Speaker {
+    /// Whether this was said already, or something after it.
+    fn has_said(&self, sequence: u16) -> bool {
+        self.said.elapsed() < FOREIGN && sequence.wrapping_sub(self.sequence).cast_signed() <= 0
+    }
+}
+
+/// Whose: PAN, mote, twin.
+type Whose = (u16, u16, u8);
+
+/// A report that is held back.
+#[derive(Debug, Clone, Copy)]
+struct Held {
+    sequence: u16,
+    until: Instant,
+}
 
 /// A line to a broker.
 pub struct Mqtt {
@@ -93,8 +127,9 @@ pub struct Mqtt {
     line: Option<JoinHandle<()>>,
     is_open: Arc<AtomicBool>,
     over: Arc<AtomicBool>,
-    others: Others,
-    news: BTreeSet<(u16, u16, u8)>,
+    speakers: Speakers,
+    news: BTreeSet<Whose>,
+    held: BTreeMap<Whose, Held>,
     last: Instant,
     published: u64,
     left_to_others: u64,
@@ -119,13 +154,13 @@ impl Mqtt {
         let (client, connection) = Client::new(options, WAITING);
         let is_open = Arc::new(AtomicBool::new(false));
         let over = Arc::new(AtomicBool::new(false));
-        let others = Others::default();
+        let speakers = Speakers::default();
         let line = Line {
             broker: broker.clone(),
             client: client.clone(),
             is_open: is_open.clone(),
             over: over.clone(),
-            others: others.clone(),
+            speakers: speakers.clone(),
         };
         let line = spawn(move || line.run(connection));
         Ok(Self {
@@ -135,8 +170,9 @@ impl Mqtt {
             line: Some(line),
             is_open,
             over,
-            others,
+            speakers,
             news: BTreeSet::new(),
+            held: BTreeMap::new(),
             last: Instant::now(),
             published: 0,
             left_to_others: 0,
@@ -144,22 +180,45 @@ impl Mqtt {
         })
     }
 
+    /// Publishes what is new, but for what another is to say.
     fn publish(&mut self) -> Result<()> {
+        let news = std::mem::take(&mut self.news);
+        self.say(news.into_iter().map(|whose| (whose, None)))
+    }
+
+    /// Publishes what was held back long enough, but for what another has said meanwhile.
+    fn release(&mut self) -> Result<()> {
+        let now = Instant::now();
+        let due: Vec<_> = self.held.extract_if(.., |_, held| held.until <= now).collect();
+        self.say(due.into_iter().map(|(whose, held)| (whose, Some(held))))
+    }
+
+    fn say(&mut self, news: impl Iterator<Item = (Whose, Option<Held>)>) -> Result<()> {
         let time_unix_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
-        let motes: Vec<MoteNews> = {
+        let motes: Vec<(Whose, Option<Held>, MoteNews)> = {
             let swarm = model::lock(&self.shared);
-            let news = std::mem::take(&mut self.news);
-            news.into_iter().filter_map(|(pan, mote, twin)| swarm.mote(pan, mote, twin, 0)).collect()
+            news.filter_map(|(whose, held)| {
+                let (pan, mote, twin) = whose;
+                Some((whose, held, swarm.mote(pan, mote, twin, 0)?))
+            })
+            .collect()
         };
-        for mote in &motes {
+        for (whose, held, mote) in &motes {
             let topic = format!("{}/{}", self.broker.prefix, mote.key);
-            let others = self.others.lock().unwrap_or_else(PoisonError::into_inner);
-            let said = others.get(&topic).is_some_and(|(sequence, when)| {
-                when.elapsed() < FOREIGN && sequence.wrapping_sub(mote.sequence).cast_signed() >= 0
-            });
-            drop(others);
-            if said {
+            let speakers = self.speakers.lock().unwrap_or_else(PoisonError::into_inner);
+            let speaker = speakers.get(&topic).cloned();
+            drop(speakers);
+            let has_said = |sequence| speaker.as_ref().is_some_and(|speaker| speaker.has_said(sequence));
+            let is_ours = speaker.as_ref().is_some_and(|speaker| speaker.gateway.is_none());
+            if !is_ours && has_said(mote.sequence) {
                 self.left_to_others += 1;
+                continue;
+            }
+            // Where another has said what was held back, it is about to say this too.
+            if !is_ours && held.is_none_or(|held| has_said(held.sequence)) {
+                let at_least = if speaker.is_some() { HELD } else { Duration::ZERO };
+                let until = Instant::now() + at_least + SCATTER.mul_f64(fastrand::f64());
+                self.held.insert(*whose, Held { sequence: mote.sequence, until });
                 continue;
             }
             let payload = Payload { gateway: &self.broker.gateway, time_unix_s, mote };
@@ -186,12 +245,19 @@ impl Sink for Mqtt {
         else {
             return Ok(());
         };
-        self.news.insert((origin.pan, origin.mote, origin.twin));
+        let whose = (origin.pan, origin.mote, origin.twin);
+        if !self.held.contains_key(&whose) {
+            self.news.insert(whose);
+        }
         Ok(())
     }
 
     fn tick(&mut self) -> Result<()> {
-        if self.last.elapsed() < EVERY || !self.is_open.load(Ordering::Relaxed) {
+        if !self.is_open.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        self.release()?;
+        if self.last.elapsed() < EVERY {
             return Ok(());
         }
         self.last = Instant::now();
@@ -216,7 +282,12 @@ impl Drop for Mqtt {
         }
         self.over.store(true, Ordering::Relaxed);
         if self.is_open.load(Ordering::Relaxed) {
+            let until = Instant::now() + GOODBYE;
+            // What is held back is said by another meanwhile, or by us.
             let _ = self.publish();
+            while self.release().is_ok() && !self.held.is_empty() && Instant::now() < until {
+                sleep(Duration::from_millis(10));
+            }
             let _ = self.client.try_publish(gateway_topic(&self.broker), QoS::AtLeastOnce, true, "offline");
             let _ = self.client.try_disconnect();
         }
@@ -236,7 +307,7 @@ struct Line {
     client: Client,
     is_open: Arc<AtomicBool>,
     over: Arc<AtomicBool>,
-    others: Others,
+    speakers: Speakers,
 }
 
 impl Line {
@@ -249,17 +320,11 @@ impl Line {
                     self.is_open.store(true, Ordering::Relaxed);
                 }
                 Ok(Wire::Incoming(Packet::Publish(message))) => {
-                    if let Ok(foreign) = serde_json::from_slice::<Foreign>(&message.payload)
-                        && foreign.gateway != self.broker.gateway
-                        // What was there before says nothing of now.
-                        && !message.retain
+                    // What was there before says nothing of now.
+                    if !message.retain
+                        && let Ok(said) = serde_json::from_slice::<Said>(&message.payload)
                     {
-                        let mut others = self.others.lock().unwrap_or_else(PoisonError::into_inner);
-                        if others.len() < model::MOTES || others.contains_key(&message.topic) {
-                            others.insert(message.topic, (foreign.sequence, Instant::now()));
-                        } else {
-                            others.retain(|_, (_, when)| when.elapsed() < FOREIGN);
-                        }
+                        self.heard(message.topic, said);
                     }
                 }
                 Ok(_) => {}
@@ -272,6 +337,20 @@ impl Line {
                 }
             }
         }
+    }
+}
+
+impl Line {
+    /// Takes a message in the broker's order.
+    fn heard(&self, topic: String, Said { gateway, sequence }: Said) {
+        let gateway = (gateway != self.broker.gateway).then_some(gateway);
+        let mut speakers = self.speakers.lock().unwrap_or_else(PoisonError::into_inner);
+        match speakers.get(&topic) {
+            Some(speaker) if speaker.gateway != gateway && speaker.has_said(sequence) => return,
+            None if speakers.len() >= model::MOTES => speakers.retain(|_, speaker| speaker.said.elapsed() < FOREIGN),
+            _ => {}
+        }
+        speakers.insert(topic, Speaker { gateway, sequence, said: Instant::now() });
     }
 }
 

@@ -28,6 +28,20 @@ const LONG: Duration = Duration::from_secs(120);
 
 // --- the program, and what is in its air ---
 
+/// Starts the program with a page; where that is, and what it complains of, which somebody has to take.
+fn serve(words: &[&str], address: &str) -> (Running, SocketAddr, ChildStderr) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_xtask"));
+    command.args(words).args(["--plain", "--web", address]).env_remove("LIGHTHOUSE_CALIB");
+    command.current_dir(env!("CARGO_MANIFEST_DIR"));
+    command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut running = Running(command.spawn().expect("it starts"));
+    let mut said = BufReader::new(running.0.stderr.take().unwrap());
+    let lines = said.by_ref().lines().map_while(Result::ok);
+    let url = lines.filter_map(|line| line.strip_prefix("Page: http://").map(str::to_owned)).next();
+    let at = url.expect("an address").trim_end_matches('/').parse().expect("an address");
+    (running, at, said.into_inner())
+}
+
 /// A program that listens to a pipe and serves a page.
 struct Listener {
     running: Running,
@@ -39,20 +53,16 @@ struct Listener {
 
 impl Listener {
     fn start(address: &str) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_xtask"));
-        command.args(["listen", "--capture", "-", "--plain", "--web", address]).env_remove("LIGHTHOUSE_CALIB");
-        command.current_dir(env!("CARGO_MANIFEST_DIR"));
-        command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
-        let mut running = Running(command.spawn().expect("it starts"));
-        let mut said = BufReader::new(running.0.stderr.take().unwrap());
-        let lines = said.by_ref().lines().map_while(Result::ok);
-        let url = lines.filter_map(|line| line.strip_prefix("Page: http://").map(str::to_owned)).next();
-        let at = url.expect("an address").trim_end_matches('/').parse().expect("an address");
+        Self::start_with(&[], address)
+    }
+
+    fn start_with(words: &[&str], address: &str) -> Self {
+        let (mut running, at, complaints) = serve(&[&["listen", "--capture", "-"], words].concat(), address);
         let mut air = running.0.stdin.take().unwrap();
         let mut head = Vec::new();
         pcap::write(&[], &mut head).unwrap();
         air.write_all(&head).unwrap();
-        Self { running, air: Some(air), at, _complaints: said.into_inner() }
+        Self { running, air: Some(air), at, _complaints: complaints }
     }
 
     /// A frame at so many tenths of a second.
@@ -76,7 +86,7 @@ impl Listener {
 /// Report number `sequence` of a mote whose clock says so many tenths of a second.
 fn report(mote: u16, sequence: u16, tenths: u32, position: [f64; 3]) -> Vec<u8> {
     let report = Report {
-        time: tenths * 1_000_000,
+        time: tenths.wrapping_mul(1_000_000),
         half_turn_q8: 83_333 << 8,
         position: position.map(I16F16::from_num),
         velocity: [3.0, 0.0, 4.0].map(I6F10::from_num),
@@ -513,6 +523,56 @@ fn a_browser_shows_the_motes_that_were_sent_and_follows_them() {
     let said = browser.value("document.getElementById('lost').textContent");
     assert!(said.as_str().unwrap().starts_with("Connection lost"), "{said}");
     browser.picture("lost");
+}
+
+#[test]
+fn a_replay_is_watched_at_its_own_pace_to_its_end() {
+    let home = tempfile::tempdir().unwrap();
+    let dir = home.path().join("take");
+    let dir = dir.to_str().expect("a plain path");
+    // Twenty minutes of a mote that goes along x, a tenth of a millimetre each tenth of a second, and of one that is still.
+    const TENTHS: u16 = 12_000;
+    let mut listener = Listener::start_with(&["--record", dir], "127.0.0.1:0");
+    for n in 0..TENTHS {
+        let tenths = u32::from(n);
+        listener.hear(tenths, &report(3, n, tenths, [1e-4 * f64::from(n), 1.0, -0.125]));
+        if n % 10 == 0 {
+            listener.hear(tenths, &report(8, n / 10, tenths, [1.0, 0.5, 0.25]));
+        }
+    }
+    let mut damaged = report(3, TENTHS, u32::from(TENTHS), [9.0, 9.0, 9.0]);
+    damaged[20] ^= 1;
+    listener.hear(u32::from(TENTHS), &damaged);
+    listener.end();
+    // At its own pace, time is the recording's.
+    let (replay, at, _complaints) = serve(&["replay", dir], "127.0.0.1:0");
+    let Some(mut browser) = Browser::start(&format!("http://{at}/"), (800, 600), false) else { return };
+    browser.until("the page lives", "document.body.dataset.state === 'live'");
+    browser.until("both are shown", "document.body.dataset.placed === '2'");
+    browser.until_cell("4c48/8", "z", "0.250");
+    browser.until_cell("4c48/3", "rate", "10.0");
+    let x = "Number(document.querySelector('tr[data-key=\"4c48/3\"] td[data-k=x] span').textContent)";
+    let (began, from) = (Instant::now(), browser.value(x).as_f64().expect("a number"));
+    browser.until("it goes on", &format!("{x} >= {from} + 0.003"));
+    // 3 mm are 3 s, less what the rounding to millimetres hides.
+    assert!(began.elapsed() > Duration::from_millis(1900), "{:?}", began.elapsed());
+    assert_eq!(browser.value("document.querySelectorAll('#rejects li').length"), 0);
+    assert_eq!(browser.cell("4c48/3", "lost"), "0.0 %");
+    // The room is the one it was recorded in.
+    assert!(browser.pixels(None) > 3000);
+    assert!(browser.complaints.is_empty(), "{:?}", browser.complaints);
+    drop(replay);
+    browser.until("lost", "document.body.dataset.state === 'lost'");
+    // Forty times as fast it comes to its end while somebody watches, at the same address, and says so.
+    let (mut replay, again, _complaints) = serve(&["replay", dir, "--speed", "40"], &at.to_string());
+    assert_eq!(again, at);
+    browser.until("it is back", "document.body.dataset.state === 'live'");
+    browser.until("the end", "document.body.dataset.state === 'ended' && !document.getElementById('lost').hidden");
+    assert!(replay.0.wait().unwrap().success());
+    assert_eq!(browser.cell("4c48/3", "x"), "1.200");
+    assert_eq!(browser.value("document.querySelector('#rejects li')?.textContent"), "1 check sequence wrong");
+    assert_eq!(browser.value("document.querySelectorAll('#motes tr').length"), 2);
+    browser.picture("replay");
 }
 
 #[test]

@@ -1,9 +1,12 @@
-//! Light that is not kind: named scenes of the simulated room, the release firmware in each, what it promises.
+//! Light that is not kind: named scenes of a simulated room, the release firmware in each, what it promises.
 //!
 //! Scenes are deterministic, so every figure is compared exactly with `tests/expected/scenes.txt`. The promises hold
 //! whatever that file says: no crash, no fix of level full that is wrong, a good fix soon after the light is back. What
 //! breaks one today stands in [`UNTIL_MET`]; taking it from there is part of mending it. What no firmware could keep
 //! stands in [`LIMITS`].
+//!
+//! In another room than `calib/default.toml` the scenes that mean something there are played, and their promises are held to;
+//! nothing is expected of their figures.
 //!
 //! What can go wrong: a figure is not what is expected, a promise is broken that was not, or one holds that
 //! [`UNTIL_MET`] says is broken. Each is named, and the exit is not zero.
@@ -27,10 +30,12 @@ use serde_json::{Value, json};
 use sim::world::Scene;
 use xtask::calib::Calibration;
 use xtask::light::HALF_TURN_S;
+use xtask::listen::simulate;
 use xtask::output::{self, Run};
 use xtask::reference::Room;
 use xtask::score::{FixRow, Score};
 use xtask::svg::{Span, figure};
+use xtask::trust;
 
 use crate::firmware;
 use crate::log::Log;
@@ -50,11 +55,14 @@ pub(crate) struct Arguments {
     /// Name the scenes and do nothing
     #[arg(long, conflicts_with_all = ["name", "bless"])]
     list: bool,
+    /// The room to play them in; its figures are then not held against what is expected of calib/default.toml
+    #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
+    calib: Option<PathBuf>,
 }
 
 impl Arguments {
     /// As when nobody says anything.
-    pub(crate) const PLAIN: Self = Self { name: None, bless: false, list: false };
+    pub(crate) const PLAIN: Self = Self { name: None, bless: false, list: false, calib: None };
 }
 
 /// What is expected, from the root of the repository.
@@ -100,15 +108,15 @@ impl Image {
     }
 }
 
-/// The firmware of the default room, and of the same whose file names the stations' serial numbers.
+/// The firmware of a room, and of the same whose file names the stations' serial numbers.
 struct Images {
     plain: Image,
     knows_ids: Image,
 }
 
 impl Images {
-    fn build(calib: &Path) -> Result<Self> {
-        let named = named_room(calib)?;
+    fn build(calib: &Path, calibration: &Calibration, light: &Scene) -> Result<Self> {
+        let named = named_room(calib, calibration, light)?;
         Ok(Self { knows_ids: Image::build(&named)?, plain: Image::build(calib)? })
     }
 
@@ -118,10 +126,11 @@ impl Images {
 }
 
 /// Writes the room of `calib` with the serial numbers that the simulated stations send; where it lies.
-fn named_room(calib: &Path) -> Result<PathBuf> {
+fn named_room(calib: &Path, calibration: &Calibration, light: &Scene) -> Result<PathBuf> {
     let text = std::fs::read_to_string(calib).with_context(|| calib.display().to_string())?;
-    let scene = Scene::default();
-    let named = [("A", &scene.station_a), ("B", &scene.station_b)].iter().fold(text, |text, (name, station)| {
+    let stations = [("A", &light.station_a), ("B", &light.station_b)].into_iter().zip(&calibration.stations);
+    let nameless = stations.filter(|(_, station)| station.id.is_none()).map(|(simulated, _)| simulated);
+    let named = nameless.fold(text, |text, (name, station)| {
         text.replacen(&format!("[station.{name}]\n"), &format!("[station.{name}]\nid = {}\n", station.info.id), 1)
     });
     let folder = root().join(OUT);
@@ -139,36 +148,66 @@ fn named_room(calib: &Path) -> Result<PathBuf> {
 
 /// Runs the scenes, prints, compares.
 pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
-    let all = list::all();
+    let calib = arguments.calib.clone().unwrap_or_else(|| root().join(firmware::DEFAULT_CALIB));
+    let calibration = firmware::room(&calib)?;
+    let other = firmware::other_light(&calib, &calibration)?;
+    let (all, left_out) = match &other {
+        None => (list::all(), Vec::new()),
+        Some(light) => list::anywhere(light),
+    };
     if arguments.list {
         for Named { name, what, takes } in &all {
             println!("{name:<20} {:>3} x {:>4.1} s  {what}", takes.len(), takes[0].scene.length_s);
         }
         return Ok(());
     }
-    let calib = root().join(firmware::DEFAULT_CALIB);
-    let calibration = firmware::room(&calib)?;
+    ensure!(
+        trust::key_of(&calibration)?.is_none(),
+        "{}: its frames are secured; scenes read plain ones",
+        calib.display()
+    );
+    ensure!(
+        other.is_none() || !arguments.bless,
+        "{}: what is expected is of {}, and of no other room",
+        calib.display(),
+        firmware::DEFAULT_CALIB
+    );
+    let light = other.clone().unwrap_or_default();
+    ensure!(
+        simulate::is_lit(&light),
+        "{}: its stations do not light all of the middle half of its volume, where the mote is carried; they reach {} m. \
+         Give it a [room] that they light",
+        calib.display(),
+        light.optics.reach_m
+    );
     if let Some(name) = &arguments.name {
+        ensure!(!left_out.iter().any(|named| named.name == *name), "{name} is made for {}", firmware::DEFAULT_CALIB);
         let named = all.iter().find(|named| named.name == *name);
         let named =
             named.with_context(|| format!("no scene is called {name}; `cargo xtask scenes --list` names them"))?;
-        return alone(&Images::build(&calib)?, named, &calibration);
+        return alone(&Images::build(&calib, &calibration, &light)?, named, &calibration);
     }
-    let images = Images::build(&calib)?;
+    let images = Images::build(&calib, &calibration, &light)?;
     let started = Instant::now();
     println!("{HEADING}");
     let figures = judge_all(&images, &all, every_s(&calibration), |name, figures| println!("{}", line(name, figures)))?;
+    let rows: Vec<(&Named, &Figures)> = all.iter().zip(&figures).collect();
+    let broken: Vec<_> = rows.iter().map(|(named, figures)| (named.name.as_str(), figures.broken())).collect();
+    if other.is_some() {
+        let names: Vec<&str> = left_out.iter().map(|named| named.name.as_str()).collect();
+        println!("another room than {}: not held against {EXPECTED};", firmware::DEFAULT_CALIB);
+        println!("left out, as made for that room or a room of their own: {}, range, incidence", names.join(", "));
+        let summary = summarised(&rows, None);
+        write_summary(&summary)?;
+        println!("written to {OUT}: summary.json");
+        return promises(&broken, &[]);
+    }
     let curves = curves::measure()?;
     println!("{curves}");
     let mote_s: f64 = all.iter().flat_map(|named| &named.takes).map(|take| take.scene.length_s).sum();
     println!("{} scenes, {mote_s:.0} s of mote time, in {:.0} s", all.len(), started.elapsed().as_secs_f64());
 
-    let rows: Vec<(&Named, &Figures)> = all.iter().zip(&figures).collect();
-    let folder = root().join(OUT);
-    std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-    let summary = folder.join("summary.json");
-    std::fs::write(&summary, serde_json::to_string_pretty(&summarised(&rows, &curves))? + "\n")
-        .with_context(|| summary.display().to_string())?;
+    let folder = write_summary(&summarised(&rows, Some(&curves)))?;
     curves.draw(&folder)?;
     println!("written to {OUT}: summary.json range.svg incidence.svg");
 
@@ -176,7 +215,6 @@ pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
         .iter()
         .fold(format!("{HEADING}\n"), |text, (named, figures)| text + line(&named.name, figures).trim_end() + "\n")
         + &curves.to_string();
-    let broken: Vec<_> = rows.iter().map(|(named, figures)| (named.name.as_str(), figures.broken())).collect();
     let kept = promises(&broken, &[&UNTIL_MET[..], &LIMITS[..]].concat());
     let expected = root().join(EXPECTED);
     if arguments.bless {
@@ -379,7 +417,16 @@ fn waited(ms: f64) -> String {
     if ms == f64::INFINITY { "never".to_string() } else { figure(ms, 1) }
 }
 
-fn summarised(rows: &[(&Named, &Figures)], curves: &curves::Curves) -> Value {
+/// Writes summary.json; the folder it is in.
+fn write_summary(summary: &Value) -> Result<PathBuf> {
+    let folder = root().join(OUT);
+    std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+    let file = folder.join("summary.json");
+    std::fs::write(&file, serde_json::to_string_pretty(summary)? + "\n").with_context(|| file.display().to_string())?;
+    Ok(folder)
+}
+
+fn summarised(rows: &[(&Named, &Figures)], curves: Option<&curves::Curves>) -> Value {
     // What is not finite has no number in JSON and becomes null.
     let scenes: serde_json::Map<String, Value> = rows
         .iter()
@@ -412,7 +459,12 @@ fn summarised(rows: &[(&Named, &Figures)], curves: &curves::Curves) -> Value {
             (named.name.clone(), row)
         })
         .collect();
-    json!({ "scenes": scenes, "range": curves.range.summary(), "incidence": curves.incidence.summary() })
+    match curves {
+        Some(curves) => {
+            json!({ "scenes": scenes, "range": curves.range.summary(), "incidence": curves.incidence.summary() })
+        }
+        None => json!({ "scenes": scenes }),
+    }
 }
 
 /// Whether exactly those promises are broken that are known to be.

@@ -1,4 +1,4 @@
-//! The whole firmware in the light of the default room: load, latencies, sizes, and where the instructions go.
+//! The whole firmware in the light of a room: load, latencies, sizes, and where the instructions go.
 //!
 //! What can go wrong: the mote stops, or sends no frame; both are errors.
 
@@ -13,6 +13,7 @@ use sim::machine::{Config, Machine};
 use sim::mote::Mote;
 use sim::scum3c::{self, Scum3c};
 use sim::world::{EventKind, Scene, World};
+use xtask::trust::Guard;
 
 use super::stages::Count;
 
@@ -100,11 +101,11 @@ pub(super) struct Profile {
     pub(super) edges: [Count; 2],
 }
 
-/// Runs the firmware.
-pub(super) fn run(elf: &[u8], run: &Run) -> Result<Whole> {
+/// Runs the firmware in the light of a room.
+pub(super) fn run(elf: &[u8], light: &Scene, key: Option<[u8; 16]>, run: &Run) -> Result<Whole> {
     let hz = f64::from(run.hclk_hz);
     let end_s = SETTLED_S + run.seconds;
-    let mut scene = Scene { length_s: end_s, ..Scene::default() };
+    let mut scene = Scene { length_s: end_s, ..light.clone() };
     scene.clock.nominal_hz = hz;
     scene.clock.error = 0.0;
     if run.full_light {
@@ -138,10 +139,10 @@ pub(super) fn run(elf: &[u8], run: &Run) -> Result<Whole> {
     if !run.profile {
         follow(&mut mote, &world, SETTLED_S, end_s)?;
     }
-    let (mut delays, mut fixes) = (Vec::new(), 0_u32);
+    let (mut delays, mut fixes, mut guard) = (Vec::new(), 0_u32, Guard::new(key));
     for sent in mote.take_frames().collect::<Vec<_>>() {
         whole.frames += 1;
-        let (_, message) = frame::parse(&sent.bytes).ok().context("a frame that cannot be read")?;
+        let (_, message) = guard.open(&sent.bytes).ok().context("a frame that cannot be read")?;
         let frame::Message::Fix(report) = message else { continue };
         fixes += 1;
         let stamped = mote.cycle_of(report.time).context("the mote's timer cannot be read")?;

@@ -44,6 +44,7 @@ pub fn scene(name: &str, calibration: &Calibration) -> Result<Scene> {
     for (station, measured) in [(&mut scene.station_a, a), (&mut scene.station_b, b)] {
         station.rotation = measured.rotation;
         station.position_m = measured.position;
+        station.info.id = measured.id.unwrap_or(station.info.id);
         for (rotor, terms) in [&mut station.azimuth, &mut station.elevation].into_iter().zip(&measured.factory) {
             rotor.phase_rad = terms.phase;
             rotor.tilt_rad = terms.tilt;
@@ -59,6 +60,20 @@ pub fn scene(name: &str, calibration: &Calibration) -> Result<Scene> {
         bail!("the scene cannot be lit: {}", unfit.0);
     }
     Ok(scene)
+}
+
+/// Whether the light of both stations reaches wherever the hand goes.
+#[must_use]
+pub fn is_lit(scene: &Scene) -> bool {
+    let MotePath::HandHeld { low_m, high_m, .. } = scene.path else { return false };
+    let corners = (0..8).map(|corner| std::array::from_fn(|k| if corner >> k & 1 == 0 { low_m[k] } else { high_m[k] }));
+    let stations = [&scene.station_a, &scene.station_b];
+    corners.map(<[f64; 3]>::into).all(|corner| {
+        stations
+            .map(|station| station.sight(corner))
+            .iter()
+            .all(|sight| sight.lit(&scene.optics) && sight.in_field(&scene.optics))
+    })
 }
 
 /// Runs so many motes with the firmware `elf`.

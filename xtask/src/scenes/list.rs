@@ -1,4 +1,4 @@
-//! The scenes by name: what each does to the light of the default room.
+//! The scenes by name: what each does to the light of a room.
 //!
 //! A scene is one take or several, each a world of its own with its own seed, and the moments from which a good fix is
 //! due again. Everything not said is the default scene's: a hand-held walk, 5 % of the pulses lost, a clock 4 % off.
@@ -68,25 +68,46 @@ pub(crate) struct Take {
     pub(super) knows_ids: bool,
 }
 
-fn take(length_s: f64, seed: u64) -> Take {
-    let scene = Scene { length_s, ..Scene::default() };
+fn take(room: &Scene, length_s: f64, seed: u64) -> Take {
+    let scene = Scene { length_s, ..room.clone() };
     let first_light_s = scene.timing.first_sync_s;
     Take { scene, seed, first_light_s, due_again_s: Vec::new(), wrap_s: None, reasons: &[], knows_ids: false }
 }
 
-/// A scene on several walks.
-fn walks(name: &str, what: &str, length_s: f64, change: impl Fn(&mut Take)) -> Named {
-    let changed = |seed| {
-        let mut take = take(length_s, seed);
-        change(&mut take);
-        take
-    };
-    Named { name: name.to_string(), what: what.to_string(), takes: (1..=WALKS).map(changed).collect() }
+/// Scenes of a room, as they are made.
+struct List<'a> {
+    room: &'a Scene,
+    named: Vec<Named>,
 }
 
-/// All of them, in the order of the table.
+impl List<'_> {
+    /// One on several walks.
+    fn walks(&mut self, name: &str, what: &str, length_s: f64, change: impl Fn(&mut Take)) {
+        let changed = |seed| {
+            let mut take = take(self.room, length_s, seed);
+            change(&mut take);
+            take
+        };
+        let takes = (1..=WALKS).map(changed).collect();
+        self.named.push(Named { name: name.to_string(), what: what.to_string(), takes });
+    }
+}
+
+/// All of them in the default room, in the order of the table.
 pub(crate) fn all() -> Vec<Named> {
-    let mut all = vec![walks("light", "the default room, undisturbed", 30.0, |_| {})];
+    of(&Scene::default())
+}
+
+/// Those that mean something in whatever room: not its own walls, and not B knocked about in the one way that matters
+/// where both stations stand side by side.
+pub(super) fn anywhere(room: &Scene) -> (Vec<Named>, Vec<Named>) {
+    of(room).into_iter().partition(|named| named.name != "reflections" && !named.name.starts_with("moved-"))
+}
+
+/// All of them in the light of a room.
+fn of(room: &Scene) -> Vec<Named> {
+    let mut all = List { room, named: Vec::new() };
+    all.walks("light", "the room as it is, undisturbed", 30.0, |_| {});
     occlusions(&mut all);
     receivers(&mut all);
     strangers(&mut all);
@@ -94,6 +115,7 @@ pub(crate) fn all() -> Vec<Named> {
     rooms(&mut all);
     starts(&mut all);
     clocks(&mut all);
+    let mut all = all.named;
     for named in &mut all {
         let reasons = REASONS.iter().find(|(name, _)| *name == named.name).map_or(&[][..], |(_, reasons)| reasons);
         named.takes.iter_mut().for_each(|take| take.reasons = reasons);
@@ -106,7 +128,7 @@ fn settled_s(take: &Take) -> f64 {
     SETTLED_S + 7.3e-3 * take.seed as f64
 }
 
-fn occlusions(all: &mut Vec<Named>) {
+fn occlusions(all: &mut List<'_>) {
     type Pick = fn(&mut Scene) -> Vec<&mut Station>;
     let who: [(&str, Pick); 3] = [
         ("a", |scene| vec![&mut scene.station_a]),
@@ -118,19 +140,14 @@ fn occlusions(all: &mut Vec<Named>) {
             let name = format!("occlusion-{name}-{long}");
             let what =
                 format!("all light of {} away for {dark_s} s, {times} times", &name[10..name.len() - long.len() - 1]);
-            all.push(walks(&name, &what, SETTLED_S + f64::from(times) * (dark_s + pause_s), |take| {
+            all.walks(&name, &what, SETTLED_S + f64::from(times) * (dark_s + pause_s), |take| {
                 hide(take, stations, Hides::Everything, dark_s, pause_s, times);
-            }));
+            });
         }
     }
-    all.push(walks(
-        "occlusion-sweeps-1s",
-        "the sweeps of both away for 1 s, 4 times; the flashes go on",
-        15.1,
-        |take| {
-            hide(take, who[2].1, Hides::Sweeps, 1.0, 2.011, 4);
-        },
-    ));
+    all.walks("occlusion-sweeps-1s", "the sweeps of both away for 1 s, 4 times; the flashes go on", 15.1, |take| {
+        hide(take, who[2].1, Hides::Sweeps, 1.0, 2.011, 4);
+    });
 }
 
 fn hide(
@@ -163,24 +180,24 @@ pub(crate) fn mirrors() -> Vec<Mirror> {
     ]
 }
 
-fn receivers(all: &mut Vec<Named>) {
-    all.push(walks(
+fn receivers(all: &mut List<'_>) {
+    all.walks(
         "reflections",
         "a fifth of the sweeps with a mirrored one, before or after, a quarter of those alone",
         30.0,
         |take| {
             take.scene.mirrors = mirrors();
         },
-    ));
-    all.push(walks("dropout-50", "half of all pulses missing", 30.0, |take| {
+    );
+    all.walks("dropout-50", "half of all pulses missing", 30.0, |take| {
         take.scene.receiver.sync_dropout = 0.5;
         take.scene.receiver.sweep_dropout = 0.5;
-    }));
+    });
     for us in [5.0, 20.0] {
-        all.push(walks(&format!("jitter-{us}us"), &format!("every edge moved by up to {us} us"), 30.0, |take| {
+        all.walks(&format!("jitter-{us}us"), &format!("every edge moved by up to {us} us"), 30.0, |take| {
             take.scene.receiver.jitter_us = 0.0;
             take.scene.receiver.even_jitter_us = us;
-        }));
+        });
     }
     // Sweeps last 7 to 13 us in this room: 10 us less would leave none. Receivers recorded at -10.4 us still gave
     // sweeps, so the laser's bias was less.
@@ -188,35 +205,35 @@ fn receivers(all: &mut Vec<Named>) {
         [("-10us", -10.0, -5.0), ("-5us", -5.0, -5.0), ("+5us", 5.0, 5.0), ("+10us", 10.0, 10.0)]
     {
         let what = format!("flashes {flash_us:+} us long, sweeps {sweep_us:+}");
-        all.push(walks(&format!("bias{name}"), &what, 20.0, |take| {
+        all.walks(&format!("bias{name}"), &what, 20.0, |take| {
             take.scene.receiver.sync_width_bias_us = flash_us;
             take.scene.receiver.sweep_width_bias_us = sweep_us;
-        }));
+        });
     }
-    all.push(walks("bias-drift", "flashes from -10 to +10 us within 40 s", 40.0, |take| {
+    all.walks("bias-drift", "flashes from -10 to +10 us within 40 s", 40.0, |take| {
         take.scene.receiver.sync_width_bias_us = -10.0;
         take.scene.receiver.sync_width_drift_us_per_s = 0.5;
-    }));
+    });
 }
 
-fn strangers(all: &mut Vec<Named>) {
-    all.push(walks("remote-control", "200 pulses of 1 to 200 us a second, at random", 30.0, |take| {
+fn strangers(all: &mut List<'_>) {
+    all.walks("remote-control", "200 pulses of 1 to 200 us a second, at random", 30.0, |take| {
         take.scene.interference.rate_per_s = 200.0;
-    }));
+    });
     // One slides over a whole half turn of the rotors, at 120 Hz over the same flashes, within its 20 s.
     for (rate, rate_hz) in [("60hz", 60.05), ("120hz", 120.1)] {
         for (long, burst_us) in [("0.25ms", 250.0), ("1ms", 1000.0)] {
             let what = format!("motion capture's strobe at {rate_hz} Hz for 20 s");
-            all.push(walks(&format!("strobe-{rate}-{long}"), &what, 25.0, |take| {
+            all.walks(&format!("strobe-{rate}-{long}"), &what, 25.0, |take| {
                 let first_s = settled_s(take);
                 take.scene.strobes = vec![Strobe { rate_hz, burst_us, first_s, to_s: first_s + 20.0 }];
                 take.due_again_s = vec![first_s + 20.0];
-            }));
+            });
         }
     }
 }
 
-fn lines(all: &mut Vec<Named>) {
+fn lines(all: &mut List<'_>) {
     for (name, line, long_s) in [
         ("stuck-high-1s", Line::StuckHigh, 1.0),
         ("stuck-high-10s", Line::StuckHigh, 10.0),
@@ -228,23 +245,23 @@ fn lines(all: &mut Vec<Named>) {
             "the line {} for {long_s} s",
             if matches!(line, Line::Storm { .. }) { "storms" } else { "is stuck" }
         );
-        all.push(walks(name, &what, SETTLED_S + long_s + 3.0, |take| {
+        all.walks(name, &what, SETTLED_S + long_s + 3.0, |take| {
             let from_s = settled_s(take);
             let to_s = from_s + long_s;
             take.scene.line_faults = vec![LineFault { from_s, to_s, line }];
             take.due_again_s = vec![to_s];
-        }));
+        });
     }
 }
 
-fn rooms(all: &mut Vec<Named>) {
-    all.push(walks("swapped", "A stands where the room file has B, and B where it has A", 20.0, |take| {
+fn rooms(all: &mut List<'_>) {
+    all.walks("swapped", "A stands where the room file has B, and B where it has A", 20.0, |take| {
         std::mem::swap(&mut take.scene.station_a, &mut take.scene.station_b);
-    }));
-    all.push(walks("swapped-known", "the same, where the room file has the stations' serial numbers", 20.0, |take| {
+    });
+    all.walks("swapped-known", "the same, where the room file has the stations' serial numbers", 20.0, |take| {
         std::mem::swap(&mut take.scene.station_a, &mut take.scene.station_b);
         take.knows_ids = true;
-    }));
+    });
     // Along the line to A and towards the mote, and turned about the upright: planes through both stations and the mote
     // stay such planes, and the rays meet as before, elsewhere. Up, and tilted: the rays no longer meet.
     for (name, by_m, turn_deg, tilt_deg) in [
@@ -253,33 +270,29 @@ fn rooms(all: &mut Vec<Named>) {
         ("moved-up-10cm", [0.0, 0.1, 0.0], 0.0, 0.0),
         ("moved-tilted-5deg", [0.0; 3], 0.0, 5.0),
     ] {
-        all.push(walks(name, "B is knocked out of its place and stays there", 20.0, |take| {
+        all.walks(name, "B is knocked out of its place and stays there", 20.0, |take| {
             take.scene.station_b.moved = Some(Moved { at_s: settled_s(take), by_m, turn_deg, tilt_deg });
-        }));
+        });
     }
     for (name, dark) in [("single-a", 1), ("single-b", 0)] {
-        all.push(walks(name, "only one station, from cold start", 10.0, |take| {
+        all.walks(name, "only one station, from cold start", 10.0, |take| {
             let scene = &mut take.scene;
             let station = if dark == 0 { &mut scene.station_a } else { &mut scene.station_b };
             station.occlusions = vec![Occlusion { from_s: 0.0, to_s: 1e9, hides: Hides::Everything }];
-        }));
+        });
     }
     for us in [350.0, 450.0] {
-        all.push(walks(
-            &format!("gap-{us}us"),
-            "the stations flash at the end of what their cable allows",
-            20.0,
-            |take| {
-                take.scene.timing.sync_gap_us = us;
-            },
-        ));
+        all.walks(&format!("gap-{us}us"), "the stations flash at the end of what their cable allows", 20.0, |take| {
+            take.scene.timing.sync_gap_us = us;
+        });
     }
 }
 
-fn starts(all: &mut Vec<Named>) {
+fn starts(all: &mut List<'_>) {
     let phase_s = |n: u32| f64::from(n) * CYCLE_S / f64::from(PHASES);
+    let room = all.room;
     let late = |length_s, n: u32| {
-        let mut take = take(length_s, 1 + u64::from(n));
+        let mut take = take(room, length_s, 1 + u64::from(n));
         take.scene.timing.first_sync_s = LATE_FIRST_SYNC_S;
         take.first_light_s = LATE_FIRST_SYNC_S;
         take
@@ -293,30 +306,30 @@ fn starts(all: &mut Vec<Named>) {
         Take { first_light_s: to_s, due_again_s: vec![to_s], ..take }
     });
     let what = "the first light in each of 64 phases of the cycle";
-    all.push(Named { name: "cold-start".into(), what: what.into(), takes: cold.collect() });
+    all.named.push(Named { name: "cold-start".into(), what: what.into(), takes: cold.collect() });
 
     let wrap = (0..PHASES).map(|n| {
         let wrap_s = 1.2 + phase_s(n);
         Take { wrap_s: Some(wrap_s), due_again_s: vec![wrap_s], ..late(1.8, n) }
     });
     let what = "the counter wraps in each of 64 phases of the cycle";
-    all.push(Named { name: "wrap".into(), what: what.into(), takes: wrap.collect() });
+    all.named.push(Named { name: "wrap".into(), what: what.into(), takes: wrap.collect() });
 
     let lock = (0..PHASES).map(|n| {
         let wrap_s = LATE_FIRST_SYNC_S + 0.3 * f64::from(n) / f64::from(PHASES);
         Take { wrap_s: Some(wrap_s), due_again_s: vec![LATE_FIRST_SYNC_S], ..late(1.0, n) }
     });
     let what = "the counter wraps at one of 64 moments between the first light and 0.3 s after";
-    all.push(Named { name: "wrap-at-lock".into(), what: what.into(), takes: lock.collect() });
+    all.named.push(Named { name: "wrap-at-lock".into(), what: what.into(), takes: lock.collect() });
 }
 
-fn clocks(all: &mut Vec<Named>) {
+fn clocks(all: &mut List<'_>) {
     for (name, times) in [("clock-0.5x", 0.5), ("clock-1x", 1.0), ("clock-2x", 2.0)] {
         let what = format!("{times} times the nominal clock, drifting 1 % per minute");
-        all.push(walks(name, &what, 30.0, |take| {
+        all.walks(name, &what, 30.0, |take| {
             let clock = &mut take.scene.clock;
             (clock.nominal_hz, clock.error, clock.drift_per_min) = (times * clock.nominal_hz, 0.0, 0.01);
-        }));
+        });
     }
 }
 

@@ -137,7 +137,7 @@ fn blocks(name: &str, mut from: Bytes<impl Read>, mut take: impl FnMut(&Record<'
             _ => Endianness::Little,
         };
         let length = from.word(4, endianness);
-        ensure!(BLOCK.contains(&length) && length % 4 == 0, "{}: {length} bytes, which no block has", block());
+        ensure!(BLOCK.contains(&length) && length.is_multiple_of(4), "{}: {length} bytes, which no block has", block());
         ensure!(from.has(length).with_context(block)?, "{}: ends in the middle", block());
         let again = from.word(length - 4, endianness);
         ensure!(again == length, "{}: {length} bytes in front and {again} behind", block());

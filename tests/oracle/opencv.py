@@ -1,6 +1,6 @@
 """OpenCV's poses of the rooms that `cargo xtask oracle` simulated, beside ours, as a table.
 
-Reads the JSON file named first. OpenCV gets the same angles as normalised image points of a camera of 1000 pixels focal
+Reads the JSON file named first and writes the table's figures to the one named second. OpenCV gets the same angles as normalised image points of a camera of 1000 pixels focal
 length: solvePnPRansac believes points within three standard deviations, solvePnPRefineLM refines on its inliers.
 """
 
@@ -67,13 +67,18 @@ def main():
     print("|---|---|---|---|---|---|---|---|")
     medians = {}
     fails = {}
+    summary = {"rooms": len(simulated["rooms"]), "stations": stations, "opencv": cv2.__version__}
     for name, rows in results.items():
         good = np.array([row for row in rows if row is not None])
-        figures = " | ".join(f"{q:.3f}" for k in range(3) for q in np.quantile(good[:, k], [0.5, 0.95]))
+        quantiles = [float(q) for k in range(3) for q in np.quantile(good[:, k], [0.5, 0.95])]
+        figures = " | ".join(f"{q:.3f}" for q in quantiles)
         failed = sum(row is None or row[2] > FAILED_DEG for row in rows)
         print(f"| {name} | {figures} | {failed} |")
         medians[name] = np.median(good, axis=0)
         fails[name] = failed
+        summary[name] = {"rotation_position_angles": quantiles, "failed": failed}
+    with open(sys.argv[2], "w", encoding="utf-8") as file:
+        json.dump(summary, file, indent=2)
     ours, theirs = "this solver", "OpenCV"
     if np.any(medians[ours] > WORSE * medians[theirs]) or fails[ours] > fails[theirs]:
         sys.exit("this solver is worse than OpenCV's")

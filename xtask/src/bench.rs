@@ -432,7 +432,14 @@ impl Counts {
             })
             .collect();
         let figures: serde_json::Map<_, _> = figures.into_iter().map(|(name, value)| (name, json!(value))).collect();
-        json!({ "stages": stages, "energy_of_a_fix": energy, "figures": figures, "budgets": budgets })
+        let edges = self.runs[0].edge_own_cycles;
+        json!({
+            "stages": stages,
+            "energy_of_a_fix": energy,
+            "figures": figures,
+            "budgets": budgets,
+            "edge_own_cycles": { "rise": edges[0], "fall": edges[1] },
+        })
     }
 }
 

@@ -35,6 +35,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
+use serde_json::json;
 
 use crate::calib::schema::{self, Calibration};
 use crate::whole;
@@ -197,6 +198,14 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
         room: &room,
     });
     whole::write(&page, html.as_bytes())?;
+    let summary = json!({
+        "held_out_mm": 1000.0 * figures.held_out_m,
+        "sweeps": figures.rotors.iter().map(|rotor| rotor.paired).sum::<usize>(),
+        "condition": figures.condition,
+        "truth_late_ms": account::late_s(&gathered, &solution).map(|late_s| 1000.0 * late_s),
+        "verdict": judgement.sentence,
+    });
+    whole::write(&page.with_extension("json"), (serde_json::to_string_pretty(&summary)? + "\n").as_bytes())?;
     let out = &mut person.output;
     writeln!(out, "{}", account::table(&figures, &facts))?;
     for sentence in &solution.evidence {

@@ -7,6 +7,7 @@
 mod stack;
 mod thumb;
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -33,6 +34,8 @@ impl Arguments {
 
 /// What is expected, from the root of the repository.
 const EXPECTED: &str = "tests/expected/memory.txt";
+/// Where the results go.
+const OUT: &str = "target/memory";
 /// By how much code and constants may differ from one computer to another: panics of other crates name their file, whose
 /// path begins with the user's home.
 const SLACK: u32 = 128;
@@ -69,7 +72,7 @@ struct Taken {
 }
 
 impl Taken {
-    fn of(elf: &[u8], bound: &Bound) -> Result<Self> {
+    fn of(elf: &[u8], stack: u32) -> Result<Self> {
         let file = ElfFile32::<LittleEndian>::parse(elf).context("not an ELF file")?;
         let size = |names: &[&str]| {
             let sections = names.iter().filter_map(|name| file.section_by_name(name));
@@ -91,7 +94,7 @@ impl Taken {
             rodata: size(&[".rodata"]),
             tables: tables.iter().map(|(_, size)| *size as u32).sum(),
             ram: size(&[".data", ".bss", ".uninit"]),
-            stack: bound.bytes(),
+            stack,
         })
     }
 
@@ -105,6 +108,7 @@ impl Taken {
 pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
     let calib = root().join(firmware::DEFAULT_CALIB);
     let mut figures = Vec::new();
+    let mut keyed = BTreeMap::new();
     let mut report = String::new();
     let mut wrong = Vec::new();
     let key_file = tempfile::NamedTempFile::new().context("a file for a key")?;
@@ -112,19 +116,29 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
     let with_key = format!("key_file = {:?}", key_file.path());
     for board in &BOARDS {
         // Where frames are sealed the stack is another one. First, so that the usual image is what is left behind.
-        if board.seals {
-            let bound = bound(board, &image(board, &calib, &with_key)?)?;
+        let sealing = if board.seals {
+            let elf = image(board, &calib, &with_key)?;
+            let bound = bound(board, &elf)?;
             let name = format!("{} with a key", board.name);
             writeln!(report, "{name}: stack at most {} of {}", bound.bytes(), bound.space)?;
             if bound.bytes() > bound.space {
                 wrong.push(format!("{name}: a stack of {} bytes in room for {}", bound.bytes(), bound.space));
             }
-        }
+            Some(Taken::of(&elf, bound.bytes())?)
+        } else {
+            None
+        };
         let elf = image(board, &calib, "")?;
         let bound = bound(board, &elf)?;
-        let taken = Taken::of(&elf, &bound)?;
+        let taken = Taken::of(&elf, bound.bytes())?;
         figures.extend(taken.figures().map(|(what, bytes)| (format!("{}.{what}", board.name), bytes)));
         table(&mut report, board.name, &taken, &bound)?;
+        if let Some(sealing) = sealing {
+            let image = (sealing.text + sealing.rodata).saturating_sub(taken.text + taken.rodata);
+            let ram = sealing.ram.saturating_sub(taken.ram);
+            writeln!(report, "{:<14} {image:>6}  bytes of image more with a key, and {ram} of RAM", "")?;
+            keyed.extend([(format!("{}.image", board.name), image), (format!("{}.ram", board.name), ram)]);
+        }
         if bound.bytes() > bound.space {
             wrong.push(format!("{}: a stack of {} bytes in room for {}", board.name, bound.bytes(), bound.space));
         }
@@ -137,6 +151,8 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
         }
     }
     println!("\n{report}");
+    write_summary("summary.json", &figures.iter().cloned().collect())?;
+    write_summary("keyed.json", &keyed)?;
     ensure!(wrong.is_empty(), "{}", wrong.join("; "));
     let expected = root().join(EXPECTED);
     if arguments.bless {
@@ -150,6 +166,13 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
     compare(&known, &figures)?;
     println!("as expected in {EXPECTED}");
     Ok(())
+}
+
+fn write_summary(name: &str, figures: &BTreeMap<String, u32>) -> Result<()> {
+    let folder = root().join(OUT);
+    std::fs::create_dir_all(&folder).with_context(|| OUT.to_string())?;
+    std::fs::write(folder.join(name), serde_json::to_string_pretty(figures)? + "\n")
+        .with_context(|| format!("{OUT}/{name}"))
 }
 
 /// Built with these lines under `[mote]`.

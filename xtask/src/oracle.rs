@@ -51,7 +51,8 @@ pub(crate) fn oracle(rooms: u64) -> Result<()> {
         println!("skipped: OpenCV for Python cannot be installed here: {reason:#}");
         return Ok(());
     }
-    run(Command::new(&python).arg(root().join("tests/oracle/opencv.py")).arg(&file))
+    let summary = folder.join(format!("summary-{rooms}.json"));
+    run(Command::new(&python).arg(root().join("tests/oracle/opencv.py")).arg(&file).arg(&summary))
 }
 
 /// A Python of our own with OpenCV.

@@ -193,11 +193,14 @@ pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
     let figures = judge_all(&images, &all, every_s(&calibration), |name, figures| println!("{}", line(name, figures)))?;
     let rows: Vec<(&Named, &Figures)> = all.iter().zip(&figures).collect();
     let broken: Vec<_> = rows.iter().map(|(named, figures)| (named.name.as_str(), figures.broken())).collect();
+    let table = rows
+        .iter()
+        .fold(format!("{HEADING}\n"), |text, (named, figures)| text + line(&named.name, figures).trim_end() + "\n");
     if other.is_some() {
         let names: Vec<&str> = left_out.iter().map(|named| named.name.as_str()).collect();
         println!("another room than {}: not held against {EXPECTED};", firmware::DEFAULT_CALIB);
         println!("left out, as made for that room or a room of their own: {}, range, incidence", names.join(", "));
-        let summary = summarised(&rows, None);
+        let summary = summarised(&rows, None, &table);
         write_summary(&summary)?;
         println!("written to {OUT}: summary.json");
         return promises(&broken, &[]);
@@ -207,14 +210,11 @@ pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
     let mote_s: f64 = all.iter().flat_map(|named| &named.takes).map(|take| take.scene.length_s).sum();
     println!("{} scenes, {mote_s:.0} s of mote time, in {:.0} s", all.len(), started.elapsed().as_secs_f64());
 
-    let folder = write_summary(&summarised(&rows, Some(&curves)))?;
+    let folder = write_summary(&summarised(&rows, Some(&curves), &table))?;
     curves.draw(&folder)?;
     println!("written to {OUT}: summary.json range.svg incidence.svg");
 
-    let text = rows
-        .iter()
-        .fold(format!("{HEADING}\n"), |text, (named, figures)| text + line(&named.name, figures).trim_end() + "\n")
-        + &curves.to_string();
+    let text = table + &curves.to_string();
     let kept = promises(&broken, &[&UNTIL_MET[..], &LIMITS[..]].concat());
     let expected = root().join(EXPECTED);
     if arguments.bless {
@@ -426,7 +426,7 @@ fn write_summary(summary: &Value) -> Result<PathBuf> {
     Ok(folder)
 }
 
-fn summarised(rows: &[(&Named, &Figures)], curves: Option<&curves::Curves>) -> Value {
+fn summarised(rows: &[(&Named, &Figures)], curves: Option<&curves::Curves>, table: &str) -> Value {
     // What is not finite has no number in JSON and becomes null.
     let scenes: serde_json::Map<String, Value> = rows
         .iter()
@@ -459,12 +459,13 @@ fn summarised(rows: &[(&Named, &Figures)], curves: Option<&curves::Curves>) -> V
             (named.name.clone(), row)
         })
         .collect();
-    match curves {
-        Some(curves) => {
-            json!({ "scenes": scenes, "range": curves.range.summary(), "incidence": curves.incidence.summary() })
-        }
-        None => json!({ "scenes": scenes }),
+    let good: usize = rows.iter().map(|(_, figures)| figures.good).sum();
+    let mut summary = json!({ "scenes": scenes, "good_fixes": good, "table": table });
+    if let Some(curves) = curves {
+        summary["range"] = curves.range.summary();
+        summary["incidence"] = curves.incidence.summary();
     }
+    summary
 }
 
 /// Whether exactly those promises are broken that are known to be.

@@ -13,12 +13,14 @@ pub mod firmware;
 pub mod sending;
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use lighthouse_mote::frame::{ANGLES_LEN, HEALTH_LEN, LEN};
+use serde_json::{Value, json};
 
+use crate::flash::image;
 use crate::svg::{Curve, draw_curves};
 use crate::trust;
 use air::{Sent, air_time};
@@ -157,9 +159,10 @@ impl Arguments {
 /// The picture cannot be written, or the firmware's slots do not hold what they promise.
 pub fn swarm(arguments: &Arguments, build: &dyn Fn(&str) -> Result<Vec<u8>>) -> Result<()> {
     if let Some(motes) = arguments.firmware {
-        return firmware_in_one_room(motes, build);
+        return firmware_in_one_room(motes, &arguments.out, build);
     }
-    print!("{}", tables(arguments));
+    let tables = tables(arguments);
+    print!("{tables}");
     let motes = [1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32];
     let curve = |name: &str, way: Way| Curve {
         name: name.to_string(),
@@ -173,8 +176,17 @@ pub fn swarm(arguments: &Arguments, build: &dyn Fn(&str) -> Result<Vec<u8>>) -> 
     std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
     std::fs::write(&path, svg).with_context(|| path.display().to_string())?;
     ensure!(path.is_file(), "{}: not written", path.display());
-    println!("\nwritten to {}: loss.svg", arguments.out.display());
+    let Arguments { motes, rooms, seconds, .. } = arguments;
+    let summary = json!({ "motes": motes, "rooms": rooms, "seconds": seconds, "tables": tables });
+    write_summary(&arguments.out, &summary)?;
+    println!("\nwritten to {}: loss.svg summary.json", arguments.out.display());
     Ok(())
+}
+
+fn write_summary(folder: &Path, summary: &Value) -> Result<()> {
+    let path = folder.join("summary.json");
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    std::fs::write(&path, serde_json::to_string_pretty(summary)? + "\n").with_context(|| path.display().to_string())
 }
 
 /// Half a minute of the virtual motes' time.
@@ -182,7 +194,7 @@ const FIRMWARE_S: f64 = 30.0;
 
 /// As many motes as `every` has slots for with room between: nothing may be lost that is slotted, whether it has to be
 /// sealed first or not.
-fn firmware_in_one_room(motes: u16, build: &dyn Fn(&str) -> Result<Vec<u8>>) -> Result<()> {
+fn firmware_in_one_room(motes: u16, out: &Path, build: &dyn Fn(&str) -> Result<Vec<u8>>) -> Result<()> {
     let every = (2 * motes).max(USUAL);
     let key_file = tempfile::NamedTempFile::new().context("a file for a key")?;
     std::fs::write(key_file.path(), "0f1e2d3c4b5a69788796a5b4c3d2e1f0\n").context("a key")?;
@@ -196,16 +208,26 @@ fn firmware_in_one_room(motes: u16, build: &dyn Fn(&str) -> Result<Vec<u8>>) -> 
         ("slotted with a key", "slotted", with_key.as_str(), Some(any)),
     ];
     let mut found = Vec::new();
+    let mut bytes = serde_json::Map::new();
     for (name, send, lines, key) in ways {
         let elf = build(&format!("send = \"{send}\"\nreport_every_half_turns = {every}\n{lines}"))?;
         let heard = firmware::run(&elf, key, motes, FIRMWARE_S, |id| println!("{name}: virtual mote {id} has run"))?;
         found.push((name, send, heard));
+        bytes.insert(name.to_string(), image::package(&elf)?.length().into());
     }
-    println!("\n{motes} virtual motes in one room, a report every {every} half turns, {FIRMWARE_S} s");
+    let mut table = format!("{motes} virtual motes in one room, a report every {every} half turns, {FIRMWARE_S} s\n");
     for (name, _, heard) in &found {
         let firmware::Heard { fixes, others, lost } = heard;
-        println!("{name:>18}: {fixes} fixes and {others} health frames on the air, {lost} of them overlapped");
+        let _ = writeln!(
+            table,
+            "{name:>18}: {fixes} fixes and {others} health frames on the air, {lost} of them overlapped"
+        );
     }
+    print!("\n{table}");
+    let size = |name: &str| bytes[name].as_u64().unwrap_or_default() as i64;
+    let more = size("slotted") - size("steady");
+    let summary = json!({ "motes": motes, "table": table, "image_bytes": bytes, "slotted_less_steady_bytes": more });
+    write_summary(&out.join("firmware"), &summary)?;
     for (name, send, heard) in found {
         ensure!(send != "slotted" || heard.lost == 0, "{name}: {} frames overlapped, and none may", heard.lost);
     }

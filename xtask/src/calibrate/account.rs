@@ -54,7 +54,7 @@ pub(super) fn figures(solution: &Solution, gathered: &Gathered) -> Figures {
 }
 
 /// By how much the truth is late, seconds, where it is on the mote's clock and that was fitted.
-fn late_s(gathered: &Gathered, solution: &Solution) -> Option<f64> {
+pub(super) fn late_s(gathered: &Gathered, solution: &Solution) -> Option<f64> {
     (gathered.apart_s.is_none() && solution.offset_s != 0.0).then_some(solution.offset_s)
 }
 

@@ -12,7 +12,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::simulate::{self, Swarm};
 use crate::calib::schema;
@@ -86,11 +86,23 @@ pub fn measure(calib: &Path, motes: u16, rate: f64, seconds: f64) -> Result<()> 
             }
             if over {
                 drop(to);
-                return judge(child, &summary, motes, sent, cpu_s / now_s, warm.map(|warm| rss / warm));
+                let weight = Weight { seconds, share: cpu_s / now_s, rss, growth: warm.map(|warm| rss / warm) };
+                return judge(child, &summary, motes, sent, &weight);
             }
         }
         sleep(STEP);
     }
+}
+
+/// What the listener took.
+struct Weight {
+    seconds: f64,
+    /// Of one core.
+    share: f64,
+    /// Bytes, in the end.
+    rss: f64,
+    /// Of that since it was warm.
+    growth: Option<f64>,
 }
 
 fn judge(
@@ -98,8 +110,7 @@ fn judge(
     summary: &Path,
     motes: u16,
     sent: u64,
-    share: f64,
-    growth: Option<f64>,
+    &Weight { seconds, share, rss, growth }: &Weight,
 ) -> Result<()> {
     ensure!(child.wait().context("lost sight of the listener")?.success(), "the listener failed");
     let all: Value = serde_json::from_slice(&std::fs::read(summary).context("the listener's summary")?)?;
@@ -113,6 +124,19 @@ fn judge(
         100.0 * share,
         growth.map_or(String::new(), |growth| format!("; memory {growth:.3} times that after {WARM_S} s"))
     );
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/listen");
+    let path = folder.join(format!("measured-{seconds}.json"));
+    let figures = json!({
+        "motes": motes,
+        "seconds": seconds,
+        "frames": frames,
+        "lost": lost,
+        "percent_of_a_core": 100.0 * share,
+        "rss_mb": rss / 1e6,
+    });
+    std::fs::create_dir_all(&folder)
+        .and_then(|()| std::fs::write(&path, format!("{figures:#}\n")))
+        .with_context(|| path.display().to_string())?;
     ensure!(heard.len() == usize::from(motes), "{} motes of {motes} are known", heard.len());
     ensure!(frames == sent && lost == 0, "{} frames did not arrive", sent - frames);
     ensure!(share < CPU_LIMIT, "{:.0} % of one core is more than {:.0} %", 100.0 * share, 100.0 * CPU_LIMIT);

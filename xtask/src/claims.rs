@@ -1,22 +1,29 @@
 //! What the texts claim, counted anew and held against the texts.
 //!
-//! `tests/expected/claims.toml` lists sentences of the documents with names in place of their numbers. Every number is
-//! looked up in the summary that a command has just written, and the document has to say exactly that. A sentence with
-//! plain numbers tells what is set and not what is measured: it only has to stand there.
+//! `tests/expected/claims.toml` lists sentences of the documents with names in place of their numbers. A number is looked
+//! up in the summary that a command has just written, or read off the code that sets it, and the document has to say
+//! exactly that. A sentence with plain numbers tells what somebody else has set, a standard or a data sheet: it only has
+//! to stand there. A block is a part of a command's output that a document shows as it was printed.
 //!
 //! What can go wrong: a figure has moved, so that a text is no longer true. The error shows what the text says and what
-//! it would have to say; `--write` puts the numbers in. A number under the README's `## Numbers` that no sentence of
-//! the list covers is an error too.
+//! it would have to say; `--write` puts the numbers in. A number that no sentence of the list covers is an error too, in
+//! the README and in every chapter. What takes long is counted with `--long` only, and what needs a recording only where
+//! there is one; of both it is said how many sentences nobody looked at.
+
+mod sentence;
+mod source;
+mod text;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
-use std::path::Path;
+use std::ops::Range;
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
-use serde_json::Value;
 
-use crate::process::{cargo, root, run};
+use crate::process::root;
+use sentence::{Number, Sentence};
+use source::{Known, Source};
 
 /// What the comparison may be told.
 #[derive(clap::Args)]
@@ -27,14 +34,47 @@ pub(crate) struct Arguments {
     /// Take the summaries that earlier commands left under target, instead of running the commands
     #[arg(long)]
     as_left: bool,
+    /// Count what takes long as well
+    #[arg(long)]
+    long: bool,
+    /// Run the commands of these sources only, and take what others left: names of tests/expected/claims.toml
+    #[arg(long, value_name = "SOURCE", conflicts_with_all = ["as_left", "long"])]
+    only: Vec<String>,
     /// Sources that have just been run
     #[arg(skip)]
     ran: &'static [&'static str],
 }
 
 impl Arguments {
-    /// Behind a bench.
-    pub(crate) const AFTER_BENCH: Self = Self { write: false, as_left: false, ran: &["bench"] };
+    /// Behind these sources.
+    pub(crate) const fn after(ran: &'static [&'static str]) -> Self {
+        Self { write: false, as_left: false, long: false, only: Vec::new(), ran }
+    }
+
+    fn how(&self, name: &str) -> How {
+        let left = self.as_left || self.ran.contains(&name);
+        if !self.only.is_empty() {
+            return if self.only.iter().any(|only| only == name) { How::Run } else { How::LeftIfAny };
+        }
+        match (left, self.long) {
+            (true, _) => How::Left,
+            (false, true) => How::Run,
+            (false, false) => How::RunIfShort,
+        }
+    }
+}
+
+/// How a source's numbers are come by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum How {
+    /// Its commands are run.
+    Run,
+    /// The same, unless that takes long.
+    RunIfShort,
+    /// From what an earlier run left; what takes long may have left nothing.
+    Left,
+    /// The same, and whatever left nothing is left out.
+    LeftIfAny,
 }
 
 const LIST: &str = "tests/expected/claims.toml";
@@ -44,44 +84,37 @@ const LIST: &str = "tests/expected/claims.toml";
 struct List {
     /// Where numbers come from, by name.
     source: BTreeMap<String, Source>,
-    claim: Vec<Claim>,
+    /// By document: sentences as they stand there, line breaks as spaces, with `{...}` for each number that is looked up.
+    claims: BTreeMap<String, Vec<String>>,
+    /// Output that a document shows.
+    block: Vec<Block>,
 }
 
+/// A fenced part of a document that is a command's output.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Source {
-    /// One after the other: the words after `cargo xtask`.
-    commands: Vec<String>,
-    /// The JSON file it writes.
-    summary: String,
-    /// What it cannot do without, if there is anything.
-    needs: Option<String>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Claim {
+struct Block {
     file: String,
-    /// As in the document, line breaks as spaces, with `{source/key/key; * factor .decimals ,}` for each number.
+    /// How its first line begins.
+    begins: String,
+    /// `source/key` of the text.
+    is: String,
+}
+
+/// One document while it is looked at.
+struct Document {
     text: String,
+    /// What sentences and blocks speak of.
+    covered: Vec<Range<usize>>,
 }
 
-/// A sentence, in pieces.
-#[derive(Debug, PartialEq)]
-struct Template {
-    /// One more than there are numbers.
-    words: Vec<String>,
-    numbers: Vec<Number>,
-}
-
-/// Where a number comes from and how it is written.
-#[derive(Debug, PartialEq)]
-struct Number {
-    source: String,
-    keys: Vec<String>,
-    factor: f64,
-    decimals: usize,
-    grouped: bool,
+/// What came of it.
+#[derive(Default)]
+struct Verdict {
+    right: usize,
+    wrong: String,
+    /// Sentences by the source that was not asked.
+    unknown: BTreeMap<String, usize>,
 }
 
 /// Runs what the numbers come from and compares.
@@ -89,278 +122,214 @@ pub(crate) fn claims(arguments: &Arguments) -> Result<()> {
     let path = root().join(LIST);
     let text = std::fs::read_to_string(&path).with_context(|| LIST.to_string())?;
     let list: List = toml::from_str(&text).with_context(|| LIST.to_string())?;
-    let mut known = BTreeMap::new();
-    let mut skipped = BTreeSet::new();
-    for (name, source) in &list.source {
-        if let Some(needs) = source.needs.as_deref().filter(|needs| !root().join(needs).exists()) {
-            println!("skipped: {name} needs {needs}, which is not here");
-            skipped.insert(name.as_str());
-            continue;
-        }
-        known.insert(name.as_str(), source.numbers(arguments.as_left || arguments.ran.contains(&name.as_str()))?);
+    for name in arguments.only.iter().chain(list.sources_named()?.iter()) {
+        ensure!(list.source.contains_key(name), "{LIST}: there is no source {name}");
     }
-    let mut texts: BTreeMap<&str, String> = BTreeMap::new();
-    let mut covered: BTreeMap<&str, Vec<std::ops::Range<usize>>> = BTreeMap::new();
-    let (mut wrong, mut right, mut unknown) = (String::new(), 0, 0);
-    for claim in &list.claim {
-        let template = Template::parse(&claim.text).with_context(|| format!("{LIST}: {:?}", claim.text))?;
-        if !texts.contains_key(claim.file.as_str()) {
-            let text = std::fs::read_to_string(root().join(&claim.file)).with_context(|| claim.file.clone())?;
-            texts.insert(&claim.file, text);
+    let mut known = Known::default();
+    for (name, source) in &list.source {
+        source.ask(name, arguments.how(name), &mut known)?;
+    }
+    let mut documents = list.documents()?;
+    let mut verdict = Verdict::default();
+    for (file, sentences) in &list.claims {
+        let document = documents.get_mut(file).with_context(|| format!("{LIST}: {file} is no document"))?;
+        for sentence in sentences {
+            document.hold(file, sentence, &known, arguments.write, &mut verdict)?;
         }
-        let text = &texts[claim.file.as_str()];
-        let Some(found) = template.find(text) else {
-            writeln!(wrong, "{}: no such sentence, whatever its numbers: {}", claim.file, claim.text)?;
-            continue;
-        };
-        covered.entry(&claim.file).or_default().push(found.whole.clone());
-        if template.numbers.iter().any(|number| skipped.contains(number.source.as_str())) {
-            unknown += 1;
-            continue;
-        }
-        let is = template.numbers.iter().map(|number| number.look_up(&known)).collect::<Result<Vec<String>>>()?;
-        let said: Vec<&str> = found.numbers.iter().map(|at| &text[at.clone()]).collect();
-        if is.iter().map(String::as_str).eq(said.iter().copied()) {
-            right += 1;
-            continue;
-        }
-        let line = 1 + text[..found.whole.start].matches('\n').count();
-        writeln!(wrong, "{}:{line}: says {}, is {}: {}", claim.file, said.join(" "), is.join(" "), claim.text)?;
-        if arguments.write {
-            let mut text = text.clone();
-            for (at, is) in found.numbers.iter().zip(&is).rev() {
-                text.replace_range(at.clone(), is);
-            }
-            texts.insert(&claim.file, text);
-            // Places behind this one have moved.
-            covered.remove(claim.file.as_str());
-        }
+    }
+    for block in &list.block {
+        let document = documents.get_mut(&block.file).with_context(|| format!("{LIST}: {} is none", block.file))?;
+        document.show(block, &known, arguments.write, &mut verdict)?;
     }
     if arguments.write {
-        for (file, text) in &texts {
-            std::fs::write(root().join(file), text).with_context(|| (*file).to_string())?;
+        for (file, document) in &documents {
+            std::fs::write(root().join(file), &document.text).with_context(|| file.clone())?;
         }
-        print!("{wrong}");
+        print!("{}", verdict.wrong);
         println!("written. Run it again without --write.");
         return Ok(());
     }
-    if let Some(text) = texts.get("README.md") {
-        let covered = covered.remove("README.md").unwrap_or_default();
-        for line in unclaimed(text, &covered) {
-            writeln!(wrong, "README.md:{line}: a number that no sentence of {LIST} covers")?;
+    for (file, document) in &documents {
+        for (line, number) in text::unclaimed(&document.text, &document.covered) {
+            writeln!(verdict.wrong, "{file}:{line}: {number} is in no sentence of {LIST}")?;
         }
     }
-    println!("{right} sentences say what is so, {unknown} could not be looked at");
+    println!("{} sentences and blocks say what is so", verdict.right);
+    for (name, sentences) in &verdict.unknown {
+        println!("not counted now: {sentences} from {name}: {}", known.why_not(name));
+    }
     ensure!(
-        wrong.is_empty(),
-        "the texts say what is not so; `cargo xtask claims --write` puts the numbers in\n{wrong}"
+        verdict.wrong.is_empty(),
+        "the texts say what is not so; `cargo xtask claims --write` puts the numbers in\n{}",
+        verdict.wrong
     );
     Ok(())
 }
 
-impl Source {
-    /// Runs the command, unless its summary is to be taken as it lies there.
-    fn numbers(&self, as_left: bool) -> Result<Value> {
-        if !as_left {
-            for command in &self.commands {
-                // Through cargo: a build may have put another program in this one's place.
-                run(cargo(&["xtask"]).args(command.split_whitespace()))?;
+impl List {
+    /// The README, what a contributor reads, and every chapter.
+    fn documents(&self) -> Result<BTreeMap<String, Document>> {
+        let mut files = vec!["README.md".to_string(), "CONTRIBUTING.md".to_string()];
+        for entry in std::fs::read_dir(root().join("docs")).context("docs")? {
+            let name = entry?.file_name().to_string_lossy().into_owned();
+            if name.ends_with(".md") {
+                files.push(format!("docs/{name}"));
             }
         }
-        let path = root().join(&self.summary);
-        let text = std::fs::read_to_string(&path).with_context(|| {
-            format!("{}; `cargo xtask {}` writes it", self.summary, self.commands.join("`, then `cargo xtask "))
-        })?;
-        serde_json::from_str(&text).with_context(|| self.summary.clone())
+        let read = |file: String| {
+            let text = std::fs::read_to_string(root().join(&file)).with_context(|| file.clone())?;
+            Ok((file, Document { text, covered: Vec::new() }))
+        };
+        files.into_iter().map(read).collect()
     }
-}
 
-/// Where a sentence stands in a text.
-struct Found {
-    whole: std::ops::Range<usize>,
-    numbers: Vec<std::ops::Range<usize>>,
-}
-
-impl Template {
-    fn parse(text: &str) -> Result<Self> {
-        let mut words = vec![String::new()];
-        let mut numbers = Vec::new();
-        let mut rest = text;
-        while let Some((before, behind)) = rest.split_once('{') {
-            let (number, behind) = behind.split_once('}').ok_or_else(|| anyhow!("a {{ without its }}"))?;
-            words.last_mut().into_iter().for_each(|last| last.push_str(before));
-            words.push(String::new());
-            numbers.push(Number::parse(number)?);
-            rest = behind;
+    /// The sources that sentences and blocks ask for.
+    fn sources_named(&self) -> Result<BTreeSet<String>> {
+        let mut named: BTreeSet<String> =
+            self.block.iter().filter_map(|block| Some(block.is.split_once('/')?.0.to_string())).collect();
+        for text in self.claims.values().flatten() {
+            let sentence = Sentence::parse(text).with_context(|| format!("{LIST}: {text:?}"))?;
+            named.extend(sentence.numbers.iter().filter_map(Number::source).map(str::to_string));
         }
-        words.last_mut().into_iter().for_each(|last| last.push_str(rest));
-        ensure!(!words[0].trim().is_empty(), "a sentence has to begin with a word");
-        Ok(Self { words, numbers })
+        Ok(named)
+    }
+}
+
+impl Document {
+    fn line(&self, at: usize) -> usize {
+        1 + self.text[..at].matches('\n').count()
     }
 
-    /// The first place where the words stand with numbers between them; any white space is as good as any other.
-    fn find(&self, text: &str) -> Option<Found> {
-        let start_word = self.words[0].split_whitespace().next()?;
-        text.match_indices(start_word).find_map(|(start, _)| self.stands_at(text, start))
-    }
-
-    fn stands_at(&self, text: &str, start: usize) -> Option<Found> {
-        let mut at = start;
-        let mut numbers = Vec::new();
-        for (index, words) in self.words.iter().enumerate() {
-            at = skip(text, at, words)?;
-            if index < self.numbers.len() {
-                let length = number_length(&text[at..])?;
-                numbers.push(at..at + length);
-                at += length;
+    /// Holds a sentence against every place where it stands.
+    fn hold(&mut self, file: &str, text: &str, known: &Known, write: bool, verdict: &mut Verdict) -> Result<()> {
+        let sentence = Sentence::parse(text).with_context(|| format!("{LIST}: {text:?}"))?;
+        let found = sentence.find(&self.text);
+        if found.is_empty() {
+            writeln!(verdict.wrong, "{file}: no such sentence, whatever its numbers: {text}")?;
+            return Ok(());
+        }
+        self.covered.extend(found.iter().map(|found| found.whole.clone()));
+        if let Some(source) = sentence.numbers.iter().filter_map(Number::source).find(|source| !known.has(source)) {
+            *verdict.unknown.entry(source.to_string()).or_default() += 1;
+            return Ok(());
+        }
+        let mut is = Vec::new();
+        for number in &sentence.numbers {
+            is.push(number.look_up(known).with_context(|| format!("{LIST}: {text:?}"))?);
+        }
+        let mut right = true;
+        for found in found.iter().rev() {
+            let said: Vec<&str> = found.numbers.iter().map(|at| &self.text[at.clone()]).collect();
+            if said.iter().zip(&is).all(|(said, is)| is.is_said_by(said)) {
+                continue;
             }
-        }
-        Some(Found { whole: start..at, numbers })
-    }
-}
-
-/// The place behind `words`, if they stand at `at`.
-fn skip(text: &str, mut at: usize, words: &str) -> Option<usize> {
-    let mut wanted = words.chars().peekable();
-    while let Some(next) = wanted.next() {
-        if next.is_whitespace() {
-            while wanted.next_if(|next| next.is_whitespace()).is_some() {}
-            let blank = text[at..].len() - text[at..].trim_start().len();
-            if blank == 0 {
-                return None;
-            }
-            at += blank;
-        } else {
-            let there = text[at..].chars().next().filter(|there| *there == next)?;
-            at += there.len_utf8();
-        }
-    }
-    Some(at)
-}
-
-/// The length of the number that `text` begins with: digits, points and commas, a digit last.
-fn number_length(text: &str) -> Option<usize> {
-    let signed = usize::from(text.starts_with('-'));
-    let end = text[signed..].find(|c: char| !c.is_ascii_digit() && c != '.' && c != ',').unwrap_or(text.len() - signed);
-    let length = signed + text[signed..signed + end].trim_end_matches(['.', ',']).len();
-    (length > signed).then_some(length)
-}
-
-impl Number {
-    fn parse(text: &str) -> Result<Self> {
-        let (path, written) = text.split_once(';').unwrap_or((text, ""));
-        let mut words = written.split_whitespace();
-        let mut keys = path.split('/').map(str::to_string);
-        let source = keys.next().unwrap_or_default();
-        let mut number = Self { source, keys: keys.collect(), factor: 1.0, decimals: 0, grouped: false };
-        while let Some(word) = words.next() {
-            match word {
-                "," => number.grouped = true,
-                "*" => {
-                    let factor = words.next().unwrap_or_default();
-                    number.factor = factor.parse().with_context(|| format!("{factor:?} in {text:?} is no factor"))?;
-                }
-                _ => {
-                    let decimals = word.strip_prefix('.').and_then(|decimals| decimals.parse().ok());
-                    number.decimals = decimals.ok_or_else(|| anyhow!("what is {word:?} in {text:?}?"))?;
+            let shown: Vec<&str> = is.iter().map(|is| is.written.as_str()).collect();
+            let line = self.line(found.whole.start);
+            writeln!(verdict.wrong, "{file}:{line}: says {}, is {}: {text}", said.join(" "), shown.join(" "))?;
+            right = false;
+            if write {
+                for (at, is) in found.numbers.iter().zip(&is).rev() {
+                    self.text.replace_range(at.clone(), &is.written);
                 }
             }
         }
-        Ok(number)
-    }
-
-    fn look_up(&self, known: &BTreeMap<&str, Value>) -> Result<String> {
-        let path = || format!("{}/{}", self.source, self.keys.join("/"));
-        let mut value =
-            known.get(self.source.as_str()).ok_or_else(|| anyhow!("{LIST}: there is no source {}", self.source))?;
-        for key in &self.keys {
-            let next = key.parse::<usize>().ok().and_then(|index| value.get(index)).or_else(|| value.get(key));
-            value = next.ok_or_else(|| anyhow!("{LIST}: {} has no such key", path()))?;
+        verdict.right += usize::from(right);
+        if write {
+            // Places have moved.
+            self.covered.clear();
         }
-        let Some(value) = value.as_f64() else { bail!("{LIST}: {} is {value}, no number", path()) };
-        let plain = format!("{:.*}", self.decimals, value * self.factor);
-        Ok(if self.grouped { grouped(&plain) } else { plain })
+        Ok(())
     }
-}
 
-/// A comma between thousands.
-fn grouped(plain: &str) -> String {
-    let whole = plain.find('.').unwrap_or(plain.len());
-    let first = plain.find(|c: char| c.is_ascii_digit()).unwrap_or(0);
-    let mut written = String::new();
-    for (index, c) in plain.char_indices() {
-        if index > first && index < whole && (whole - index).is_multiple_of(3) {
-            written.push(',');
+    /// Holds a shown output against the output.
+    fn show(&mut self, block: &Block, known: &Known, write: bool, verdict: &mut Verdict) -> Result<()> {
+        let Block { file, begins, is } = block;
+        let Some(at) = text::fence(&self.text, begins) else {
+            writeln!(verdict.wrong, "{file}: no block begins with {begins:?}")?;
+            return Ok(());
+        };
+        self.covered.push(at.clone());
+        let (source, key) = is.split_once('/').with_context(|| format!("{LIST}: {is:?} names no key"))?;
+        if !known.has(source) {
+            *verdict.unknown.entry(source.to_string()).or_default() += 1;
+            return Ok(());
         }
-        written.push(c);
+        let printed = known.value(source, &[key.to_string()])?;
+        let printed = printed.as_str().with_context(|| format!("{LIST}: {is} is {printed}, no text"))?;
+        let trimmed = |text: &str| text.trim_end().lines().map(|line| line.trim_end().to_string()).collect::<Vec<_>>();
+        let (said, printed) = (trimmed(&self.text[at.clone()]), trimmed(printed));
+        if said == printed {
+            verdict.right += 1;
+            return Ok(());
+        }
+        let differs = said.iter().zip(&printed).take_while(|(said, is)| said == is).count();
+        let line = |lines: &[String]| lines.get(differs).map_or("nothing".to_string(), |line| format!("{line:?}"));
+        let number = self.line(at.start) + differs;
+        writeln!(verdict.wrong, "{file}:{number}: shows {}, {is} is {}", line(&said), line(&printed))?;
+        if write {
+            self.text.replace_range(at, &(printed.join("\n") + "\n"));
+            self.covered.clear();
+        }
+        Ok(())
     }
-    written
-}
-
-/// The lines under `## Numbers` with a digit that lies in none of `covered`; names with digits in them are no numbers.
-fn unclaimed(text: &str, covered: &[std::ops::Range<usize>]) -> Vec<usize> {
-    let Some(start) = text.find("\n## Numbers\n") else { return Vec::new() };
-    let start = start + 1;
-    let end = text[start..].find("\n## ").map_or(text.len(), |end| start + end);
-    let mut lines: Vec<usize> = text[start..end]
-        .char_indices()
-        .filter(|(_, c)| c.is_ascii_digit())
-        .map(|(index, _)| start + index)
-        .filter(|&index| !in_a_name(text, index) && !covered.iter().any(|range| range.contains(&index)))
-        .map(|index| 1 + text[..index].matches('\n').count())
-        .collect();
-    lines.dedup();
-    lines
-}
-
-/// Whether the digit at `index` belongs to a word or a path: `f64`, `take5`, `3-D`, `802.15.4`.
-fn in_a_name(text: &str, index: usize) -> bool {
-    let blank = |c: char| c.is_whitespace() || "|,:()".contains(c);
-    let start = text[..index].rfind(blank).map_or(0, |at| at + 1);
-    let end = text[index..].find(blank).map_or(text.len(), |end| index + end);
-    let word = text[start..end].trim_matches(|c: char| c.is_ascii_punctuation());
-    word.contains(|c: char| c.is_alphabetic()) || word == "802.15.4" || Path::new(word).components().count() > 1
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Number, Template, grouped, unclaimed};
+    use serde_json::json;
 
-    #[test]
-    fn a_sentence_is_found_across_line_breaks_with_its_numbers() {
-        let template = Template::parse("errors of {run/a; .2}, {run/b; .2} cm").unwrap();
-        let text = "No errors here.\nIt has errors\nof 0.39, 1,204.5 cm.";
-        let found = template.find(text).unwrap();
-        let numbers: Vec<&str> = found.numbers.iter().map(|at| &text[at.clone()]).collect();
-        assert_eq!(numbers, ["0.39", "1,204.5"]);
-        assert_eq!(&text[found.whole], "errors\nof 0.39, 1,204.5 cm");
+    use super::*;
+
+    fn document(text: &str) -> Document {
+        Document { text: text.to_string(), covered: Vec::new() }
+    }
+
+    fn known() -> Known {
+        let mut known = Known::default();
+        known.insert("run", json!({ "cm": 0.394, "table": "a 1\nb 3  \n" }));
+        known
     }
 
     #[test]
-    fn a_number_is_looked_up_scaled_and_written_as_asked() {
-        let summary = serde_json::json!({ "size": { "image.bytes": 24332 }, "mae": [0.3949, 1.0] });
-        let known = std::iter::once(("b", summary)).collect();
-        let written = |text: &str| Number::parse(text).and_then(|number| number.look_up(&known));
-        assert_eq!(written("b/size/image.bytes; ,").unwrap(), "24,332");
-        assert_eq!(written("b/mae/0; .2").unwrap(), "0.39");
-        assert_eq!(written("b/size/image.bytes; * 0.001 .1").unwrap(), "24.3");
-        assert!(written("b/size/nothing").unwrap_err().to_string().contains("b/size/nothing"));
-        assert!(written("c/size").is_err());
+    fn what_a_text_says_wrong_is_named_with_its_line_and_can_be_written() {
+        let mut text = document("# x\n\nIt errs by 0.38 cm.\nAlso here: errs by 0.39 cm.\n");
+        let mut verdict = Verdict::default();
+        text.hold("a.md", "errs by {run/cm; .2} cm", &known(), true, &mut verdict).unwrap();
+        assert_eq!(verdict.wrong, "a.md:3: says 0.38, is 0.39: errs by {run/cm; .2} cm\n");
+        assert!(text.text.contains("errs by 0.39 cm.\nAlso here: errs by 0.39"), "{}", text.text);
+        text.hold("a.md", "errs in {run/cm; .2} cm", &known(), false, &mut verdict).unwrap();
+        assert!(verdict.wrong.contains("no such sentence"), "{}", verdict.wrong);
     }
 
     #[test]
-    fn thousands_are_grouped_from_the_point_leftwards() {
-        assert_eq!(grouped("1234567.8901"), "1,234,567.8901");
-        assert_eq!(grouped("123"), "123");
-        assert_eq!(grouped("-1234"), "-1,234");
+    fn what_was_not_asked_is_counted_and_covers_its_sentences() {
+        let mut text = document("It takes 12 s.\n");
+        let mut verdict = Verdict::default();
+        text.hold("a.md", "takes {soak/s} s", &known(), false, &mut verdict).unwrap();
+        assert_eq!((verdict.unknown["soak"], verdict.right, verdict.wrong.as_str()), (1, 0, ""));
+        assert_eq!(text::unclaimed(&text.text, &text.covered), []);
     }
 
     #[test]
-    fn a_number_that_nothing_covers_is_named_by_its_line() {
-        let text = "# x\n\n## Numbers\n\n| take5 in f64 | 0.39 |\n7.8 % of 3-D\n\n## Licence\n\n2.0\n";
-        let covered = text.find("0.39").unwrap();
-        let covered = std::iter::once(covered..covered + 4).collect::<Vec<_>>();
-        assert_eq!(unclaimed(text, &covered), [6]);
-        assert_eq!(unclaimed(text, &[]), [5, 6]);
+    fn a_shown_output_is_that_of_the_command() {
+        let block = Block { file: "a.md".into(), begins: "a ".into(), is: "run/table".into() };
+        let mut text = document("So:\n\n```text\na 1\nb 2\n```\n\nMore.\n");
+        let mut verdict = Verdict::default();
+        text.show(&block, &known(), true, &mut verdict).unwrap();
+        assert_eq!(verdict.wrong, "a.md:5: shows \"b 2\", run/table is \"b 3\"\n");
+        assert_eq!(text.text, "So:\n\n```text\na 1\nb 3\n```\n\nMore.\n");
+        text.show(&block, &known(), false, &mut verdict).unwrap();
+        assert_eq!(verdict.right, 1);
+        assert_eq!(text::unclaimed(&text.text, &text.covered), []);
+    }
+
+    #[test]
+    fn every_source_is_there_and_every_document_too() {
+        let text = std::fs::read_to_string(root().join(LIST)).unwrap();
+        let list: List = toml::from_str(&text).unwrap();
+        let (named, there) = (list.sources_named().unwrap(), list.source.keys().cloned().collect());
+        assert_eq!(named, there);
+        let documents = list.documents().unwrap();
+        assert!(list.claims.keys().all(|file| documents.contains_key(file)));
     }
 }

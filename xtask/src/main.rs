@@ -123,7 +123,9 @@ enum Verb {
     Fuzz(fuzz::Arguments),
     /// Count every number of the README and the docs anew, and see that the texts say just that
     ///
-    /// Runs the commands that the numbers come from; those that need recordings which are not here are skipped.
+    /// Runs the commands that the numbers come from; those that need recordings which are not here are skipped, those
+    /// that take long are run with --long. Says of which numbers that is so. A number in the README or in a chapter that
+    /// tests/expected/claims.toml does not have is an error.
     Claims(claims::Arguments),
     /// Build every image a second time, from a copy in another folder, and see that not a byte differs
     ///

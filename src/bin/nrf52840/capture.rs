@@ -10,7 +10,7 @@
 //!
 //! No program is in a stamp. An edge waits for the next 16 MHz clock, 62.5 ns at most, and a whole number of clocks from
 //! there to the capture (PS 6.16), the same for both edges; so interrupts, the log's critical sections and flash waits
-//! do not reach it. They only delay the handler, and that has until the next rise, 300 us or more in Lighthouse light,
+//! do not reach it. They only delay the handler, and that has until the next rise, 260 us or more in Lighthouse light,
 //! before anything is overwritten.
 //!
 //! Nobody clears the event of the light's coming on: an event register that is set already stops no later event on its

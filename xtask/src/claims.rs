@@ -113,8 +113,8 @@ struct Document {
 struct Verdict {
     right: usize,
     wrong: String,
-    /// Sentences by the source that was not asked.
-    unknown: BTreeMap<String, usize>,
+    /// Documents of sentences and blocks, by the source that was not asked.
+    unknown: BTreeMap<String, Vec<String>>,
 }
 
 /// Runs what the numbers come from and compares.
@@ -155,8 +155,10 @@ pub(crate) fn claims(arguments: &Arguments) -> Result<()> {
         }
     }
     println!("{} sentences and blocks say what is so", verdict.right);
-    for (name, sentences) in &verdict.unknown {
-        println!("not counted now: {sentences} from {name}: {}", known.why_not(name));
+    for (name, files) in &verdict.unknown {
+        let places: BTreeSet<&str> = files.iter().map(String::as_str).collect();
+        let places = places.into_iter().collect::<Vec<_>>().join(", ");
+        println!("not counted now: {} of {places} that {name} knows: {}", files.len(), known.why_not(name));
     }
     ensure!(
         verdict.wrong.is_empty(),
@@ -210,7 +212,7 @@ impl Document {
         }
         self.covered.extend(found.iter().map(|found| found.whole.clone()));
         if let Some(source) = sentence.numbers.iter().filter_map(Number::source).find(|source| !known.has(source)) {
-            *verdict.unknown.entry(source.to_string()).or_default() += 1;
+            verdict.unknown.entry(source.to_string()).or_default().push(file.to_string());
             return Ok(());
         }
         let mut is = Vec::new();
@@ -251,7 +253,7 @@ impl Document {
         self.covered.push(at.clone());
         let (source, key) = is.split_once('/').with_context(|| format!("{LIST}: {is:?} names no key"))?;
         if !known.has(source) {
-            *verdict.unknown.entry(source.to_string()).or_default() += 1;
+            verdict.unknown.entry(source.to_string()).or_default().push(file.to_string());
             return Ok(());
         }
         let printed = known.value(source, &[key.to_string()])?;
@@ -306,7 +308,7 @@ mod tests {
         let mut text = document("It takes 12 s.\n");
         let mut verdict = Verdict::default();
         text.hold("a.md", "takes {soak/s} s", &known(), false, &mut verdict).unwrap();
-        assert_eq!((verdict.unknown["soak"], verdict.right, verdict.wrong.as_str()), (1, 0, ""));
+        assert_eq!((verdict.unknown["soak"].len(), verdict.right, verdict.wrong.as_str()), (1, 0, ""));
         assert_eq!(text::unclaimed(&text.text, &text.covered), []);
     }
 

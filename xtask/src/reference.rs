@@ -20,7 +20,7 @@ use anyhow::Result;
 use nalgebra::{Matrix3, Matrix4, RowVector4, Vector3};
 
 use crate::calib::schema::{self, Calibration, Rotor};
-use crate::light::{Light, PlayedRow};
+use crate::light::Light;
 use crate::recording::{Axis, Recording, Row, Station};
 use crate::score::{self, Score};
 use crate::svg::StationMark;
@@ -32,8 +32,6 @@ const PAPER_HALF_TURN: f64 = 83_331.3;
 const LATEST_S: f64 = 0.05;
 /// How finely that is looked for, seconds: 0.3 mm at 0.6 m/s.
 const LATE_STEP_S: f64 = 0.0005;
-/// Parts of a recording whose truth may each be late by another time.
-const PARTS: usize = 8;
 /// Sweeps that miss by more are all alike, radians: reflections.
 const ASTRAY: f64 = 0.005;
 
@@ -110,17 +108,6 @@ pub struct Placed {
     pub newest_s: f64,
     /// Mean of the four times.
     pub middle_s: f64,
-}
-
-/// How the lateness of a truth changes, seconds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Drift {
-    /// At the beginning.
-    pub first_s: f64,
-    /// At the end.
-    pub last_s: f64,
-    /// Of the recording.
-    pub length_s: f64,
 }
 
 /// A way from rows to places.
@@ -212,39 +199,9 @@ impl Method {
     /// How late the truth must be for the room to agree best with the sweeps that are scored, seconds; none without a
     /// sweep. A check and nothing else: what was found on scored rows must not be used to score them.
     pub fn lateness(&self, recording: &Recording, light: &Light) -> Option<f64> {
-        self.lateness_of(recording, light, |row, _| recording.scored(row))
-    }
-
-    /// The lateness at the beginning and at the end of a recording, seconds, all of it and not only what is scored, and how
-    /// long it is: a line through the lateness of each of [`PARTS`]. Two clocks that drift apart show in it.
-    pub fn drift(&self, recording: &Recording, light: &Light) -> Option<Drift> {
-        let first_s = light.seconds(light.rows.first()?.cycle);
-        let length_s = light.seconds(light.rows.last()?.cycle) - first_s;
-        let part_of = |played: &PlayedRow| (light.seconds(played.cycle) - first_s) / length_s * PARTS as f64;
-        let parts: Option<Vec<f64>> = (0..PARTS)
-            .map(|part| {
-                self.lateness_of(recording, light, |row, played| row.truth_ok && part_of(played) as usize == part)
-            })
-            .collect();
-        let parts = parts?;
-        let middle = (PARTS as f64 - 1.0) / 2.0;
-        let mean_s = parts.iter().sum::<f64>() / PARTS as f64;
-        let (sum, squares) = parts.iter().enumerate().fold((0.0, 0.0), |(sum, squares), (part, late_s)| {
-            let from_middle = part as f64 - middle;
-            (sum + from_middle * late_s, squares + from_middle * from_middle)
-        });
-        let half_s = sum / squares * PARTS as f64 / 2.0;
-        Some(Drift { first_s: mean_s - half_s, last_s: mean_s + half_s, length_s })
-    }
-
-    fn lateness_of(
-        &self,
-        recording: &Recording,
-        light: &Light,
-        counts: impl Fn(&Row, &PlayedRow) -> bool,
-    ) -> Option<f64> {
         let truth = score::recorded_truth(recording, light);
-        let rows = recording.rows.iter().zip(&light.rows).filter(|(row, played)| counts(row, played) && !played.repeat);
+        let rows =
+            recording.rows.iter().zip(&light.rows).filter(|(row, played)| recording.scored(row) && !played.repeat);
         let sweeps: Vec<(&Row, f64, f64)> = rows
             .filter_map(|(row, played)| {
                 Some((row, light.seconds(played.laser.ok()?), self.angle(row, played.half_turn)))
@@ -427,28 +384,6 @@ mod tests {
             assert_eq!(written.mean3d_cm > 0.4, late_s > 0.0, "{written:?}");
             assert_eq!(late.fixed, written.fixed);
         }
-    }
-
-    #[test]
-    fn a_truth_whose_clock_drifts_is_found_to() {
-        const PPM: f64 = 200.0;
-        let Some(recording) = shared_recording("crazyflie-lh1-flight") else {
-            return;
-        };
-        let mut recording = recording.sensor(0).unwrap();
-        let light = Light::rebuild(&recording, &LightConfig::of(&recording)).unwrap();
-        let plain = Method::plain(Room::open(&recording.stations).unwrap());
-        let ppm = |drift: Drift| 1e6 * (drift.last_s - drift.first_s) / drift.length_s;
-        let is = plain.drift(&recording, &light).unwrap();
-        let truth = score::recorded_truth(&recording, &light);
-        let middle_s = light.seconds(light.rows[0].cycle) + is.length_s / 2.0;
-        for (row, played) in recording.rows.iter_mut().zip(&light.rows) {
-            let at_s = light.seconds(played.cycle);
-            row.truth = score::place_at(&truth, at_s - 1e-6 * PPM * (at_s - middle_s)).unwrap_or(row.truth);
-        }
-        let drifts = plain.drift(&recording, &light).unwrap();
-        let found = ppm(drifts) - ppm(is);
-        assert!((found - PPM).abs() < 50.0, "{is:?}, then {drifts:?}: {found} ppm");
     }
 
     #[test]

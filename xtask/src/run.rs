@@ -25,7 +25,7 @@ use xtask::listen::simulate;
 use xtask::output::{self, Run};
 use xtask::pcap;
 use xtask::recording::Recording;
-use xtask::reference::{Drift, Method, Room};
+use xtask::reference::{Method, Room};
 use xtask::score::{self, FixRow, Place, Score};
 use xtask::svg::Span;
 
@@ -491,15 +491,8 @@ impl Held {
         let title = format!("Recording {name}");
         let written = Score::of_recording(recording, light, fixes);
         let of_methods = methods.iter().map(|(name, method)| (*name, method.score(recording, light)));
-        let tenths = |late_s: f64| json!((1e4 * late_s).round() / 10.0);
-        let mut more = Vec::new();
-        if let Some(Drift { first_s, last_s, length_s }) = Method::plain(room.clone()).drift(recording, light) {
-            more.push(("truth_late_ms_first_last".to_string(), json!([tenths(first_s), tenths(last_s)])));
-            more.push(("truth_drift_ppm".to_string(), json!((1e6 * (last_s - first_s) / length_s).round())));
-        }
-        more.extend(
-            speed(&score::recorded_truth(recording, light)).map(|speed| ("speed_m_per_s".to_string(), json!(speed))),
-        );
+        let speed = speed(&score::recorded_truth(recording, light));
+        let mut more: Vec<_> = speed.map(|speed| ("speed_m_per_s".to_string(), json!(speed))).into_iter().collect();
         let Some(late_s) = late_s else {
             let others = of_methods.map(|(name, score)| (name.to_string(), score)).collect();
             return Ok(Self { title, score: written, others, more });
@@ -507,6 +500,7 @@ impl Held {
         let late = methods.iter().map(|(name, method)| (name.to_string(), method.score_late(recording, light, late_s)));
         let as_written = of_methods.map(|(name, score)| (format!("{name}, {AS_WRITTEN}"), score));
         let others = late.chain([(AS_WRITTEN.to_string(), written)]).chain(as_written).collect();
+        let tenths = |late_s: f64| json!((1e4 * late_s).round() / 10.0);
         more.push(("truth_late_ms".to_string(), tenths(late_s)));
         let by_scored_rows = Method::plain(room.clone()).lateness(recording, light);
         more.extend(by_scored_rows.map(|late_s| ("truth_late_ms_by_scored_rows".to_string(), tenths(late_s))));

@@ -76,7 +76,7 @@ def main():
         print(f"| {name} | {figures} | {failed} |")
         medians[name] = np.median(good, axis=0)
         fails[name] = failed
-        summary[name] = {"rotation_position_angles": quantiles, "failed": failed}
+        summary[name] = {"rotation_position_angles": quantiles, "failed": int(failed)}
     with open(sys.argv[2], "w", encoding="utf-8") as file:
         json.dump(summary, file, indent=2)
     ours, theirs = "this solver", "OpenCV"

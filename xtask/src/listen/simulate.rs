@@ -62,18 +62,20 @@ pub fn scene(name: &str, calibration: &Calibration) -> Result<Scene> {
     Ok(scene)
 }
 
-/// Whether the light of both stations reaches wherever the hand goes.
+/// The share of a walk's moments at which the light of both stations reaches the mote.
 #[must_use]
-pub fn is_lit(scene: &Scene) -> bool {
-    let MotePath::HandHeld { low_m, high_m, .. } = scene.path else { return false };
-    let corners = (0..8).map(|corner| std::array::from_fn(|k| if corner >> k & 1 == 0 { low_m[k] } else { high_m[k] }));
-    let stations = [&scene.station_a, &scene.station_b];
-    corners.map(<[f64; 3]>::into).all(|corner| {
-        stations
-            .map(|station| station.sight(corner))
-            .iter()
-            .all(|sight| sight.lit(&scene.optics) && sight.in_field(&scene.optics))
-    })
+pub fn lit(scene: &Scene) -> f64 {
+    const MOMENTS: u16 = 600;
+    const EVERY_S: f64 = 0.1;
+    let world = World::new(scene, 1);
+    let is_lit = |moment: &u16| {
+        let at_m = world.position(EVERY_S * f64::from(*moment)).into();
+        [&scene.station_a, &scene.station_b].iter().all(|station| {
+            let sight = station.sight(at_m);
+            sight.lit(&scene.optics) && sight.in_field(&scene.optics)
+        })
+    };
+    (0..MOMENTS).filter(is_lit).count() as f64 / f64::from(MOMENTS)
 }
 
 /// Runs so many motes with the firmware `elf`.

@@ -24,7 +24,9 @@ pub use air::receiver::Signal;
 
 use air::receiver::Damage;
 use anyhow::Result;
-use lighthouse_mote::frame::{self, Angles, Factory, Header, Health, Level, Lock, Message, Reject, Report, Reset};
+use lighthouse_mote::frame::{
+    self, Angles, Factory, Header, Health, Level, Lock, Message, Reject, Rejects, Report, Reset,
+};
 use serde::Serialize;
 
 use crate::calib::{Calibration, schema};
@@ -1213,7 +1215,6 @@ fn lock_name(lock: Lock) -> &'static str {
 }
 
 fn condition(health: &Health) -> Condition {
-    let rejects = &health.rejects;
     let stations = std::array::from_fn(|index| {
         let station = &health.stations[index];
         let known = station.id != 0;
@@ -1247,22 +1248,28 @@ fn condition(health: &Health) -> Condition {
         },
         reset_detail: (health.reset_detail != 0).then_some(health.reset_detail),
         stations,
-        rejects: BTreeMap::from([
-            ("edges", rejects.edges),
-            ("strays", rejects.strays),
-            ("widths", rejects.widths),
-            ("short", rejects.short),
-            ("long", rejects.long),
-            ("second", rejects.second),
-            ("outside", rejects.outside),
-            ("geometry", rejects.geometry),
-            ("mismatch", rejects.mismatch),
-            ("disbelieved", rejects.disbelieved),
-            ("reports", rejects.reports),
-            ("locks", rejects.locks),
-        ]),
+        rejects: BTreeMap::from(by_name(&health.rejects)),
         waiting: health.waiting,
     }
+}
+
+/// What a mote turned away, by the names that every view has for it.
+#[must_use]
+pub fn by_name(rejects: &Rejects) -> [(&'static str, u16); 12] {
+    [
+        ("edges", rejects.edges),
+        ("strays", rejects.strays),
+        ("widths", rejects.widths),
+        ("short", rejects.short),
+        ("long", rejects.long),
+        ("second", rejects.second),
+        ("outside", rejects.outside),
+        ("geometry", rejects.geometry),
+        ("mismatch", rejects.mismatch),
+        ("disbelieved", rejects.disbelieved),
+        ("reports", rejects.reports),
+        ("locks", rejects.locks),
+    ]
 }
 
 #[cfg(test)]

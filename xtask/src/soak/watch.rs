@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use lighthouse_mote::frame::{Health, Lock, Rejects};
 use serde_json::{Map, Value, json};
+use xtask::listen::model::by_name;
 use xtask::quantile::quantile;
 
 use super::plan::{CLEAR, Meeting};
@@ -35,7 +36,7 @@ pub(super) struct Round {
     latency_ms: Errors,
     /// Measured half turn against the true one, in clear light, parts per million: the worst.
     half_turn_ppm: f64,
-    rejects: [u16; 12],
+    rejects: BTreeMap<&'static str, u16>,
     waiting: [u8; 3],
     stack_bytes: u32,
     busy_percent: f64,
@@ -293,7 +294,8 @@ pub(super) struct Watch {
     before: String,
     sequence: Option<u16>,
     health: Option<Health>,
-    rejects: [u16; 12],
+    /// Of the health frame that ended the round before.
+    rejects: Rejects,
     load: sim::mote::Load,
 }
 
@@ -309,7 +311,7 @@ impl Watch {
             before: String::new(),
             sequence: None,
             health: None,
-            rejects: [0; 12],
+            rejects: Rejects::default(),
             load: sim::mote::Load::default(),
         }
     }
@@ -415,9 +417,10 @@ impl Watch {
         round.hostile.close();
         round.latency_ms.close();
         if let Some(health) = &self.health {
-            let now = counts(&health.rejects);
-            round.rejects = std::array::from_fn(|n| now[n].wrapping_sub(self.rejects[n]));
-            self.rejects = now;
+            let before = by_name(&self.rejects).into_iter();
+            let since = by_name(&health.rejects).into_iter().zip(before);
+            round.rejects = since.map(|((name, now), (_, before))| (name, now.wrapping_sub(before))).collect();
+            self.rejects = health.rejects;
             round.waiting = health.waiting;
         }
         let top = lit.mote.symbols.get("_stack_start").map_or(0, |symbol| symbol.address);
@@ -432,24 +435,6 @@ impl Watch {
     pub(super) fn life(&self, lit: &Lit) -> Life {
         Life { refused: lit.mote.machine.bus.refused(), ..self.life.clone() }
     }
-}
-
-fn counts(rejects: &Rejects) -> [u16; 12] {
-    let Rejects {
-        edges,
-        strays,
-        widths,
-        short,
-        long,
-        second,
-        outside,
-        geometry,
-        mismatch,
-        disbelieved,
-        reports,
-        locks,
-    } = *rejects;
-    [edges, strays, widths, short, long, second, outside, geometry, mismatch, disbelieved, reports, locks]
 }
 
 #[cfg(test)]

@@ -3,7 +3,9 @@
 //! What can go wrong: a room that the fixed-point solver cannot hold; it is refused with the number that breaks.
 
 use super::quantise::{self, Baked, Room};
-use super::schema::{Calibration, Error, Estimate, Mote, Name, RoomBox, Rotor, SEALED_HALF_TURNS, Send, Station};
+use super::schema::{
+    Calibration, Error, Estimate, Mote, Name, RoomBox, Rotor, SEALED_HALF_TURNS, Send, Station, SweepEdge,
+};
 use super::solver::Calib;
 use super::volume::{reach, shared_view};
 
@@ -155,7 +157,11 @@ pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
     Ok(format!(
         "{provenance}/// The room, as baked from `{file}`.
 pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
-    sweep: lighthouse_mote::sweep::Config {{ lone: {lone} }},
+    sweep: lighthouse_mote::sweep::Config {{
+        lone: {lone},
+        shortest_sweep: {shortest_sweep},
+        stamp: lighthouse_mote::sweep::Stamp::{stamp},
+    }},
     ootx: lighthouse_mote::ootx::Config {{ ids: {ids:?}, ..lighthouse_mote::ootx::Config::DEFAULT }},
     angle: lighthouse_mote::angle::Config::new([{}, {}]).with_received({received:?}),
     fix: lighthouse_mote::fix::Config {{ calib: {solver}, max_age_half_turns: {max_age} }},
@@ -193,6 +199,11 @@ pub const KEY: Option<[u8; 16]> = {key:?};
             None => "None",
             Some(Name::A) => "Some(lighthouse_mote::sweep::Station::A)",
             Some(Name::B) => "Some(lighthouse_mote::sweep::Station::B)",
+        },
+        shortest_sweep = (mote.shortest_sweep_us * 8.192 / HALF_TURN_MS).round() as u32,
+        stamp = match mote.sweep_edge {
+            SweepEdge::Middle => "Middle",
+            SweepEdge::Rise => "Rise",
         },
         ids = calibration.stations.map(|station| station.id),
     ))

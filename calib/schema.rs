@@ -14,6 +14,9 @@
 //! `lone = "A"` or `"B"` under `[mote]` says whose flashes they are when only one station of a pair has been seen since
 //! the start; the light does not tell.
 //!
+//! `sweep_edge = "rise"` under `[mote]` is for receivers whose fall comes at any time: a laser then passes when its pulse
+//! rises, and not in the middle of it. `shortest_sweep_us`, 1 where nothing is said, is the shortest pulse of a laser.
+//!
 //! What can go wrong: every complaint names the file, the line, the field and the value.
 
 #[path = "schema/table.rs"]
@@ -116,8 +119,22 @@ pub struct Mote {
     pub factory: FactorySource,
     /// Who flashes, if only one station of the pair is seen from the start.
     pub lone: Option<Name>,
+    /// The shortest pulse of a laser that counts, us.
+    pub shortest_sweep_us: f64,
+    /// Which moment of a laser's pulse is the sweep.
+    pub sweep_edge: SweepEdge,
     /// The room's key: frames then prove who made them. See `key.rs`.
     pub key: Option<Key>,
+}
+
+/// The moment of a laser's pulse that counts as the sweep.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SweepEdge {
+    /// `"middle"`: half way between both edges.
+    #[default]
+    Middle,
+    /// `"rise"`, for receivers with one good edge.
+    Rise,
 }
 
 /// Which of the two stations.
@@ -212,6 +229,8 @@ impl Default for Mote {
             angle_noise_mrad: None,
             factory: FactorySource::File,
             lone: None,
+            shortest_sweep_us: 1.0,
+            sweep_edge: SweepEdge::Middle,
             key: None,
         }
     }
@@ -317,6 +336,7 @@ fn calibration(source: Source<'_>, parsed: &Spanned<DeTable<'_>>) -> Result<Cali
 const FACTORY_SOURCES: [(&str, FactorySource); 2] =
     [("file", FactorySource::File), ("received", FactorySource::Received)];
 const NAMES: [(&str, Name); 2] = [("A", Name::A), ("B", Name::B)];
+const SWEEP_EDGES: [(&str, SweepEdge); 2] = [("middle", SweepEdge::Middle), ("rise", SweepEdge::Rise)];
 const ESTIMATES: [(&str, Estimate); 3] =
     [("track", Estimate::Track), ("fix", Estimate::Fix), ("angles", Estimate::Angles)];
 
@@ -420,6 +440,8 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         "angle_noise_mrad",
         "factory",
         "lone",
+        "shortest_sweep_us",
+        "sweep_edge",
         KEY_FILE,
     ])?;
     let whole = |key: &str, usual: u16, max: u16| -> Result<u16, Error> {
@@ -470,6 +492,11 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         angle_noise_mrad,
         factory: table.optional("factory", |value, at| at.choice(value, &FACTORY_SOURCES))?.unwrap_or(usual.factory),
         lone: table.optional("lone", |value, at| at.choice(value, &NAMES))?.or(usual.lone),
+        // Longer ones are flashes.
+        shortest_sweep_us: number("shortest_sweep_us", usual.shortest_sweep_us, 0.0..=50.0, "us")?,
+        sweep_edge: table
+            .optional("sweep_edge", |value, at| at.choice(value, &SWEEP_EDGES))?
+            .unwrap_or(usual.sweep_edge),
     })
 }
 

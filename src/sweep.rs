@@ -157,16 +157,36 @@ pub enum Status {
 /// How many half turns the cycle is carried on without any flash: 0.4 s.
 pub const COAST_HALF_TURNS: u32 = 48;
 
-/// What the light alone does not tell.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// What the light alone does not tell, and what depends on the receiver.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Config {
     /// Who flashes, if only one of a pair of stations is seen from the start.
     pub lone: Option<Station>,
+    /// The shortest sweep pulse, in units of 1/8192 half turn (1.02 us), up to 64. Real ones last 1.5 to 20 us.
+    pub shortest_sweep: u32,
+    /// Which moment of a laser's pulse is the sweep.
+    pub stamp: Stamp,
+}
+
+/// The moment of a laser's pulse that counts as the sweep.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Stamp {
+    /// Half way between both edges: where the middle of the laser line was, whatever its width.
+    #[default]
+    Middle,
+    /// The rise, for receivers with one good edge.
+    Rise,
 }
 
 impl Config {
-    /// Both are seen.
-    pub const DEFAULT: Self = Self { lone: None };
+    /// Both stations are seen, by a receiver with two good edges.
+    pub const DEFAULT: Self = Self { lone: None, shortest_sweep: 1, stamp: Stamp::Middle };
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
 }
 
 /// How often each thing was understood or turned away, since start-up, wrapping.
@@ -321,7 +341,7 @@ pub(crate) fn step_then<T>(
                     }
                 }
                 None => {
-                    if let Some(sweep) = lock.laser(&mut state.rejects, pulse) {
+                    if let Some(sweep) = lock.laser(config, &mut state.rejects, pulse) {
                         return then(state, Some(Light::Sweep(sweep)));
                     }
                 }

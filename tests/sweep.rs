@@ -11,7 +11,8 @@ use super::cycle;
 use lighthouse_mote::angle;
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::sweep::{
-    Axis, COAST_HALF_TURNS, Closed, Config, HALF_TURN_BITS, Light, State, Station, Status, Sweep, Sync, expire, step,
+    Axis, COAST_HALF_TURNS, Closed, Config, HALF_TURN_BITS, Light, Stamp, State, Station, Status, Sweep, Sync, expire,
+    step,
 };
 use lighthouse_mote::time::Span;
 
@@ -160,6 +161,41 @@ mod tests {
             }
             // The first cycle's wait for the ends of their slots.
             assert!(seen >= 32);
+        }
+    }
+
+    #[test]
+    fn a_sweep_is_stamped_at_its_middle_or_at_its_rise() {
+        let cycle = Cycle::TYPICAL;
+        let rise = Config { stamp: Stamp::Rise, ..CONFIG };
+        let (_, pulse) = cycle.pulse(8, 2);
+        let mut state = after(cycle, 0, 8);
+        for index in 0..2 {
+            step(&CONFIG, &mut state, cycle.pulse(8, index).1);
+        }
+        let middle = sweep_of(step(&CONFIG, &mut state.clone(), pulse));
+        let rise = sweep_of(step(&rise, &mut state, pulse));
+        let (Some(middle), Some(rise)) = (middle, rise) else { panic!("a sweep was not understood") };
+        assert_eq!(rise.at, pulse.start);
+        assert_eq!(middle.at, pulse.start.after(Span(pulse.width.0 / 2)));
+        assert_eq!(middle.since_sync.0 - rise.since_sync.0, pulse.width.0 / 2);
+    }
+
+    #[test]
+    fn a_pulse_shorter_than_the_shortest_sweep_is_none_and_is_counted() {
+        let cycle = Cycle::TYPICAL;
+        let (_, pulse) = cycle.pulse(8, 2);
+        // The last unit that is no longer than the pulse, and the first that is.
+        let fits = pulse.width.0 * 8192 / cycle.span(HALF_TURN).0;
+        for (shortest_sweep, too_short) in [(fits, 0), (fits + 1, 1)] {
+            let config = Config { shortest_sweep, ..CONFIG };
+            let mut state = after(cycle, 0, 8);
+            for index in 0..2 {
+                step(&config, &mut state, cycle.pulse(8, index).1);
+            }
+            let before = state.counts().too_short;
+            let sweep = sweep_of(step(&config, &mut state, pulse));
+            assert_eq!((sweep.is_none(), state.counts().too_short - before), (too_short == 1, too_short));
         }
     }
 
@@ -647,7 +683,7 @@ mod tests {
     fn one_of_a_pair_that_the_room_names_gives_its_sweeps() {
         let cycle = Cycle::TYPICAL;
         for lone in [Station::A, Station::B] {
-            let config = Config { lone: Some(lone) };
+            let config = Config { lone: Some(lone), ..CONFIG };
             let mut state = State::default();
             let mut sweeps = 0;
             for (truth, pulse) in cycle.pulses(0, 64) {

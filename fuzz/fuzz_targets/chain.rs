@@ -8,6 +8,7 @@ use libfuzzer_sys::fuzz_target;
 use lighthouse_mote::chain::{Chain, Config, Estimate};
 use lighthouse_mote::edge::Edge;
 use lighthouse_mote::frame::{Header, Message, Report, emit, emit_health, parse};
+use lighthouse_mote::sweep::Stamp;
 use lighthouse_mote::time::{Span, Ticks};
 
 mod room {
@@ -119,6 +120,10 @@ fn run(input: &mut Input<'_>) -> Option<()> {
     let config = Config {
         estimate: if choice & 1 == 0 { Estimate::Track } else { Estimate::Fix },
         report_every_half_turns: if choice & 2 == 0 { 1 } else { 4 },
+        sweep: lighthouse_mote::sweep::Config {
+            stamp: if choice & 4 == 0 { Stamp::Middle } else { Stamp::Rise },
+            ..room::CONFIG.sweep
+        },
         ..room::CONFIG
     };
     let clock = CLOCKS[usize::from(choice >> 3 & 7)];

@@ -55,7 +55,7 @@ fn a_key_that_nobody_knows_is_refused() {
     assert_eq!(
         complaint(&with("pan = ", "pam = ")),
         format!(
-            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, send, moved_m, heartbeat_s, max_angle_age_ms, angle_noise_mrad, factory, lone, key_file"
+            "room.toml:{line}: mote.pam: unknown; known here: id, pan, estimate, report_every_half_turns, send, moved_m, heartbeat_s, max_angle_age_ms, angle_noise_mrad, factory, lone, shortest_sweep_us, sweep_edge, key_file"
         )
     );
 }
@@ -164,12 +164,26 @@ fn a_serial_number_is_32_bits() {
     );
 }
 
+/// What a build includes of a room.
+fn source(text: &str) -> String {
+    let calibration = schema::read("room.toml", text).expect("a good file");
+    firmware::source("room.toml", &calibration).expect("a room that can be held")
+}
+
+#[test]
+fn a_receiver_with_one_good_edge_is_named_by_the_room() {
+    assert!(source(GOOD).contains("shortest_sweep: 1,") && source(GOOD).contains("Stamp::Middle"));
+    // 5 us are 4.9 units of 1/8192 half turn.
+    let named = source(&with("[mote]", "[mote]\nsweep_edge = \"rise\"\nshortest_sweep_us = 5"));
+    assert!(named.contains("shortest_sweep: 5,") && named.contains("lighthouse_mote::sweep::Stamp::Rise"));
+    let said = complaint(&with("[mote]", "[mote]\nsweep_edge = \"fall\""));
+    assert!(said.ends_with("mote.sweep_edge: \"fall\" is neither \"middle\" nor \"rise\""), "{said}");
+    let said = complaint(&with("[mote]", "[mote]\nshortest_sweep_us = 60"));
+    assert!(said.ends_with("mote.shortest_sweep_us: 60 us is not in 0 ..= 50"), "{said}");
+}
+
 #[test]
 fn a_lone_station_is_named_by_the_room_or_by_nobody() {
-    let source = |text: &str| {
-        let calibration = schema::read("room.toml", text).expect("a good file");
-        firmware::source("room.toml", &calibration).expect("a room that can be held")
-    };
     assert!(source(GOOD).contains("lone: None"));
     let named = with("[mote]", "[mote]\nlone = \"B\"");
     assert!(source(&named).contains("lone: Some(lighthouse_mote::sweep::Station::B)"));

@@ -9,11 +9,9 @@
 use super::{Lock, Phase, turn};
 use crate::pulse::Pulse;
 use crate::sweep::width::{SWEEP_STEPS, Units};
-use crate::sweep::{Cause, Closed, Rejects, Sweep};
+use crate::sweep::{Cause, Closed, Config, Rejects, Stamp, Sweep};
 use crate::time::{Span, Ticks};
 
-/// The shortest sweep pulse: half turn >> this, 1.02 us. Real ones last 1.5 to 20 us.
-const SHORTEST_SHIFT: u32 = 13;
 /// A sweep this near to where its rotor's last one was need not be compared: half turn >> this, 2.8 degrees.
 const NEAR_SHIFT: u32 = 6;
 
@@ -43,13 +41,15 @@ pub(super) struct Rotor {
 impl Lock {
     /// A pulse between the flashes.
     #[inline]
-    pub(in crate::sweep) fn laser(&mut self, counts: &mut Rejects, pulse: Pulse) -> Option<Sweep> {
+    pub(in crate::sweep) fn laser(&mut self, config: &Config, counts: &mut Rejects, pulse: Pulse) -> Option<Sweep> {
         let width = pulse.width.0;
         let (station, axis) = turn(self.slot);
-        // Where the middle of the laser line was, whatever its width.
-        let at = pulse.start.after(Span(width / 2));
+        let at = match config.stamp {
+            Stamp::Middle => pulse.start.after(Span(width / 2)),
+            Stamp::Rise => pulse.start,
+        };
         let after = at.since(self.trains[station as usize].next).0;
-        self.is_sweep(counts, at, after, width).then_some(Sweep {
+        self.is_sweep(config, counts, at, after, width).then_some(Sweep {
             station,
             axis,
             at,
@@ -60,13 +60,13 @@ impl Lock {
 
     /// Whether that is where this slot's sweep is expected; if so it is taken.
     #[inline]
-    fn is_sweep(&mut self, counts: &mut Rejects, at: Ticks, after: u32, width: u32) -> bool {
+    fn is_sweep(&mut self, config: &Config, counts: &mut Rejects, at: Ticks, after: u32, width: u32) -> bool {
         let Units { half_turn, step, .. } = self.units;
         let cause = if self.phase != Phase::Locked {
             Cause::Stray
         } else if width > SWEEP_STEPS * step as u32 {
             Cause::Long
-        } else if width < half_turn >> SHORTEST_SHIFT {
+        } else if width < (half_turn * config.shortest_sweep) >> 13 {
             Cause::Short
         } else if after.wrapping_sub((half_turn >> 5) * 5) > (half_turn >> 5) * 22 {
             // The rotor lights 30 to 150 degrees. Two degrees more to either side leave room for its factory phase: the

@@ -96,7 +96,7 @@ impl Player {
         let calib = room()?;
         let nowhere = track::Pose { axes: Matrix3::zeros(), position: Vector3::zeros() };
         let config = Config {
-            sweep: sweep::Config { lone },
+            sweep: sweep::Config { lone, ..sweep::Config::DEFAULT },
             ootx: ootx::Config { rest_bits: 0, ids: [None, None] },
             angle: angle::Config::default(),
             fix: fix::Config { calib, max_age_half_turns: 12 },

@@ -122,7 +122,7 @@ const BOARDS: &[Board] = &[
 ];
 
 /// Bytes of stack more where frames are sealed; a multiple of 8.
-const SEALING: u32 = 2 * 1024;
+const SEALING: u32 = 2304;
 
 /// Hands the linker its scripts and each board its memory.
 ///

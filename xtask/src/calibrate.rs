@@ -1,8 +1,8 @@
 //! From sweeps and truth to a room that can be flown: `cargo xtask calibrate`.
 //!
 //! Sweeps come from a recording, from captured frames of a mote that sends its angles, or from a [`session`] at known
-//! places; truth from motion capture ([`truth`]) or from those places. [`gather`] brings both together, [`solve`] makes a
-//! room of them, [`account`] puts that into figures, [`judgement`] says whether to trust it, [`room`] writes it down in the
+//! places; truth from motion capture ([`truth`]) or from those places. `gather` brings both together, [`solve`] makes a
+//! room of them, `account` puts that into figures, [`judgement`] says whether to trust it, [`room`] writes it down in the
 //! project's own format and [`report`] draws it.
 //!
 //! # Design

@@ -16,7 +16,7 @@
 //! taken back by what it measured, is the sync of a slot whose number within the cycle is known.
 //!
 //! # Design
-//! [`grid`] finds what the timestamps stand for and when every half turn began; [`play`] lays edges on that grid.
+//! `grid` finds what the timestamps stand for and when every half turn began; `play` lays edges on that grid.
 //!
 //! # What can go wrong
 //! A row may not fit the grid (a reflection taken for a sweep, a mislabelled pulse): it is played

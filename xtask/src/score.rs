@@ -3,7 +3,7 @@
 //! The protocol is the recordings' own: a row counts when its truth is good and it lies outside
 //! the window on which stations were fitted; coverage is the part of those rows that have a fix.
 //! A fix belongs to a row when the mote reported it for that row's sweep: the time it says is that
-//! of the sweep, or within [`WINDOW_S`] after. Nothing later is looked at, so a method that waits for better light is not
+//! of the sweep, or within `WINDOW_S` after. Nothing later is looked at, so a method that waits for better light is not
 //! rewarded for it.
 //!
 //! Motion capture takes a while, and a log holds what had come by then: the truth of a row may be where the mote was some

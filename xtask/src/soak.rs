@@ -68,8 +68,9 @@ const LOOK_S: f64 = 0.25;
 /// How far the measured half turn may be off in clear light, as a fraction: the clock drifts by 1e-5 within the tens of
 /// milliseconds over which it is measured, and wanders by 1e-4.
 const HALF_TURN_WITHIN: f64 = 5e-4;
-/// What a fix may take from light to air, seconds: the longest that one is held back is its half turn.
-const LATENCY_S: f64 = 0.025;
+/// What a fix may take from light to air, seconds: it may be held back until its half turn ends, 8.3 ms, and then wait for
+/// the oscillators, which are counted for six half turns once a minute, 50 ms; itself it takes under 2.
+const LATENCY_S: f64 = 0.0605;
 
 /// A wrong position is reported as good no longer than this, seconds: as where the chip misbehaves ([`crate::faults`]).
 const SPELL_S: f64 = 1.0;

@@ -5,10 +5,11 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use nalgebra::{Matrix3, Matrix4, RowVector4, Vector3};
 use serde_json::json;
 use xtask::calib::{Calibration, firmware, quantise, schema};
+use xtask::whole;
 
 use crate::process::root;
 
@@ -47,8 +48,6 @@ pub(crate) fn bake(calib: &Path) -> Result<()> {
          homogeneous system is {homogeneous_mm:.1} mm from it"
     );
     let [a, b] = calibration.stations.each_ref().map(|station| Vector3::from(station.position));
-    let folder = root().join(OUT);
-    std::fs::create_dir_all(&folder).with_context(|| OUT.to_string())?;
     let summary = json!({
         "points": quantise::VERIFIED,
         "rms_mm": measured.rms_mm,
@@ -59,8 +58,7 @@ pub(crate) fn bake(calib: &Path) -> Result<()> {
         "noise_mm": least_squares_mm,
         "homogeneous_from_least_squares_mm": homogeneous_mm,
     });
-    std::fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")
-        .with_context(|| format!("{OUT}/summary.json"))
+    whole::json(&root().join(OUT).join("summary.json"), &summary)
 }
 
 /// What noise of the light does, whatever the arithmetic.

@@ -148,11 +148,7 @@ pub(crate) fn bench(arguments: &Arguments) -> Result<()> {
     let figures = counts.figures();
 
     println!("\n{}", counts.table(&judged, arguments.profile));
-    let folder = root().join(OUT);
-    std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-    let summary = folder.join("summary.json");
-    std::fs::write(&summary, serde_json::to_string_pretty(&counts.summary(&judged))? + "\n")
-        .with_context(|| summary.display().to_string())?;
+    xtask::whole::json(&root().join(OUT).join("summary.json"), &counts.summary(&judged))?;
     println!("written to {OUT}/summary.json");
 
     let disagreement: Vec<String> = judged

@@ -205,7 +205,7 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
         "truth_late_ms": account::late_s(&gathered, &solution).map(|late_s| 1000.0 * late_s),
         "verdict": judgement.sentence,
     });
-    whole::write(&page.with_extension("json"), (serde_json::to_string_pretty(&summary)? + "\n").as_bytes())?;
+    whole::json(&page.with_extension("json"), &summary)?;
     let out = &mut person.output;
     writeln!(out, "{}", account::table(&figures, &facts))?;
     for sentence in &solution.evidence {

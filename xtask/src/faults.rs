@@ -27,6 +27,7 @@ use serde_json::json;
 use sim::machine::Stop;
 use sim::world::Scene;
 use xtask::svg::figure;
+use xtask::whole;
 
 use crate::firmware;
 use crate::lit::Lit;
@@ -298,8 +299,6 @@ fn table(judged: &[Judged]) -> String {
 }
 
 fn write(arguments: &Arguments, judged: &[Judged], ram: &Ram) -> Result<()> {
-    let folder = root().join(OUT);
-    std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
     let runs: Vec<_> = judged
         .iter()
         .map(|run| {
@@ -317,8 +316,7 @@ fn write(arguments: &Arguments, judged: &[Judged], ram: &Ram) -> Result<()> {
         })
         .collect();
     let summary = json!({ "seed": arguments.seed, "runs": runs });
-    std::fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")
-        .with_context(|| format!("{OUT}/summary.json"))?;
+    whole::json(&root().join(OUT).join("summary.json"), &summary)?;
     println!("written to {OUT}: summary.json");
     Ok(())
 }

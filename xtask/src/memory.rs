@@ -18,6 +18,7 @@ use object::{LittleEndian, Object, ObjectSection, ObjectSymbol, SymbolKind};
 use crate::process::{root, run};
 use crate::{bench, firmware, setup};
 use stack::Bound;
+use xtask::whole;
 
 /// What may be told.
 #[derive(clap::Args)]
@@ -151,8 +152,9 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
         }
     }
     println!("\n{report}");
-    write_summary("summary.json", &figures.iter().cloned().collect())?;
-    write_summary("keyed.json", &keyed)?;
+    let folder = root().join(OUT);
+    whole::json(&folder.join("summary.json"), &figures.iter().cloned().collect::<BTreeMap<_, _>>())?;
+    whole::json(&folder.join("keyed.json"), &keyed)?;
     ensure!(wrong.is_empty(), "{}", wrong.join("; "));
     let expected = root().join(EXPECTED);
     if arguments.bless {
@@ -166,13 +168,6 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
     compare(&known, &figures)?;
     println!("as expected in {EXPECTED}");
     Ok(())
-}
-
-fn write_summary(name: &str, figures: &BTreeMap<String, u32>) -> Result<()> {
-    let folder = root().join(OUT);
-    std::fs::create_dir_all(&folder).with_context(|| OUT.to_string())?;
-    std::fs::write(folder.join(name), serde_json::to_string_pretty(figures)? + "\n")
-        .with_context(|| format!("{OUT}/{name}"))
 }
 
 /// Built with these lines under `[mote]`.

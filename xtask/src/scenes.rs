@@ -36,6 +36,7 @@ use xtask::reference::Room;
 use xtask::score::{FixRow, Score};
 use xtask::svg::{Span, figure};
 use xtask::trust;
+use xtask::whole;
 
 use crate::firmware;
 use crate::log::Log;
@@ -205,7 +206,7 @@ pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
         println!("another room than {}: not held against {EXPECTED};", firmware::DEFAULT_CALIB);
         println!("left out, as made for that room or a room of their own: {}, range, incidence", names.join(", "));
         let summary = summarised(&rows, None, &table);
-        write_summary(&summary)?;
+        whole::json(&root().join(OUT).join("summary.json"), &summary)?;
         println!("written to {OUT}: summary.json");
         return promises(&broken, &[]);
     }
@@ -214,7 +215,8 @@ pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
     let mote_s: f64 = all.iter().flat_map(|named| &named.takes).map(|take| take.scene.length_s).sum();
     println!("{} scenes, {mote_s:.0} s of mote time, in {:.0} s", all.len(), started.elapsed().as_secs_f64());
 
-    let folder = write_summary(&summarised(&rows, Some(&curves), &table))?;
+    let folder = root().join(OUT);
+    whole::json(&folder.join("summary.json"), &summarised(&rows, Some(&curves), &table))?;
     curves.draw(&folder)?;
     println!("written to {OUT}: summary.json range.svg incidence.svg");
 
@@ -419,15 +421,6 @@ fn line(name: &str, figures: &Figures) -> String {
 /// A time, a dash where none was asked for, a word where it never ended.
 fn waited(ms: f64) -> String {
     if ms == f64::INFINITY { "never".to_string() } else { figure(ms, 1) }
-}
-
-/// Writes summary.json; the folder it is in.
-fn write_summary(summary: &Value) -> Result<PathBuf> {
-    let folder = root().join(OUT);
-    std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-    let file = folder.join("summary.json");
-    std::fs::write(&file, serde_json::to_string_pretty(summary)? + "\n").with_context(|| file.display().to_string())?;
-    Ok(folder)
 }
 
 fn summarised(rows: &[(&Named, &Figures)], curves: Option<&curves::Curves>, table: &str) -> Value {

@@ -20,7 +20,7 @@ mod watch;
 
 use std::time::Instant;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use serde_json::{Value, json};
 
 use crate::firmware;
@@ -30,6 +30,7 @@ use crate::process::root;
 use compare::Comparison;
 use plan::{Plan, ROUND_S};
 use watch::{Round, Watch};
+use xtask::whole;
 
 /// How the soak may be told.
 #[derive(clap::Args)]
@@ -147,8 +148,6 @@ pub(crate) fn soak(arguments: &Arguments) -> Result<()> {
     if arguments.hours >= 24.0 && wraps < 200 {
         broken.push(format!("{wraps} counter wraps are fewer than 200"));
     }
-    let folder = root().join(OUT);
-    std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
     let summary: Value = json!({
         "hours": lived_s / 3600.0,
         "seed": arguments.seed,
@@ -161,8 +160,7 @@ pub(crate) fn soak(arguments: &Arguments) -> Result<()> {
         "life": life.summary(),
         "broken": broken,
     });
-    std::fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")
-        .with_context(|| format!("{OUT}/summary.json"))?;
+    whole::json(&root().join(OUT).join("summary.json"), &summary)?;
     println!("written to {OUT}: summary.json");
     ensure!(broken.is_empty(), "the soak broke:\n  {}", broken.join("\n  "));
     Ok(())

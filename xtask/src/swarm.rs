@@ -18,11 +18,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use lighthouse_mote::frame::{ANGLES_LEN, HEALTH_LEN, LEN};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::flash::image;
 use crate::svg::{Curve, draw_curves};
 use crate::trust;
+use crate::whole;
 use air::{Sent, air_time};
 use sending::{Policy, RAW_LEN, Swarm};
 
@@ -178,15 +179,9 @@ pub fn swarm(arguments: &Arguments, build: &dyn Fn(&str) -> Result<Vec<u8>>) -> 
     ensure!(path.is_file(), "{}: not written", path.display());
     let Arguments { motes, rooms, seconds, .. } = arguments;
     let summary = json!({ "motes": motes, "rooms": rooms, "seconds": seconds, "tables": tables });
-    write_summary(&arguments.out, &summary)?;
+    whole::json(&arguments.out.join("summary.json"), &summary)?;
     println!("\nwritten to {}: loss.svg summary.json", arguments.out.display());
     Ok(())
-}
-
-fn write_summary(folder: &Path, summary: &Value) -> Result<()> {
-    let path = folder.join("summary.json");
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    std::fs::write(&path, serde_json::to_string_pretty(summary)? + "\n").with_context(|| path.display().to_string())
 }
 
 /// Half a minute of the virtual motes' time.
@@ -227,7 +222,7 @@ fn firmware_in_one_room(motes: u16, out: &Path, build: &dyn Fn(&str) -> Result<V
     let size = |name: &str| bytes[name].as_u64().unwrap_or_default() as i64;
     let more = size("slotted") - size("steady");
     let summary = json!({ "motes": motes, "table": table, "image_bytes": bytes, "slotted_less_steady_bytes": more });
-    write_summary(&out.join("firmware"), &summary)?;
+    whole::json(&out.join("firmware/summary.json"), &summary)?;
     for (name, send, heard) in found {
         ensure!(send != "slotted" || heard.lost == 0, "{name}: {} frames overlapped, and none may", heard.lost);
     }

@@ -7,6 +7,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use serde::Serialize;
 
 /// The folder of a file.
 #[must_use]
@@ -26,6 +27,13 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     file.write_all(bytes).and_then(|()| file.as_file().sync_all()).with_context(failed)?;
     file.persist(path).with_context(|| format!("{name}: cannot be put in its place"))?;
     Ok(())
+}
+
+/// Writes figures for programs, as JSON, and makes the folder for them.
+pub fn json(path: &Path, figures: &impl Serialize) -> Result<()> {
+    let folder = folder(path);
+    fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
+    write(path, (serde_json::to_string_pretty(figures)? + "\n").as_bytes())
 }
 
 /// Writes a file and keeps what was there under its name and a `~`; returns where.

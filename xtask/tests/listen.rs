@@ -331,20 +331,25 @@ fn xtask(words: &[&str]) -> Command {
     command
 }
 
+/// Of a room.
+const KEY: [u8; 16] = *b"a room of its ow";
+
+/// Five reports of mote 7 under that key, counted from 100 on.
+fn secured_frames() -> Vec<Vec<u8>> {
+    let secured = |sequence| {
+        let mut frame = Aligned::BLANK;
+        emit_into(&mut frame, Header { pan: 0x4C48, mote: 7, sequence }, &Report::default());
+        assert!(Key::new(&KEY).seal(&mut frame, 100 + u32::from(sequence)));
+        frame.bytes().to_vec()
+    };
+    (0..5).map(secured).collect()
+}
+
 #[test]
 fn a_secured_frame_is_believed_once_and_not_again_by_the_next_listener() {
-    const KEY: [u8; 16] = *b"a room of its ow";
     let dir = tempfile::tempdir().expect("a folder");
     let [air, key, counters, summary] = ["air.pcap", "key", "heard", "all.json"].map(|name| dir.path().join(name));
-    let frames: Vec<Vec<u8>> = (0..5)
-        .map(|sequence| {
-            let mut frame = Aligned::BLANK;
-            emit_into(&mut frame, Header { pan: 0x4C48, mote: 7, sequence }, &Report::default());
-            assert!(Key::new(&KEY).seal(&mut frame, 100 + u32::from(sequence)));
-            frame.bytes().to_vec()
-        })
-        .collect();
-    fs::write(&air, captured(195, &frames, <[u8]>::to_vec)).expect("a capture");
+    fs::write(&air, captured(195, &secured_frames(), <[u8]>::to_vec)).expect("a capture");
     fs::write(&key, hex::encode(KEY)).expect("a key");
     let heard = || {
         let [air, counters, summary] = [&air, &counters, &summary].map(|path| path.to_str().expect("a plain path"));
@@ -365,22 +370,13 @@ fn a_secured_frame_is_believed_once_and_not_again_by_the_next_listener() {
 
 #[test]
 fn a_recording_of_a_room_with_a_key_is_replayed_under_it() {
-    const KEY: [u8; 16] = *b"a room of its ow";
     let home = tempfile::tempdir().expect("a folder");
     let at = |name: &str| home.path().join(name);
     let text = |path: &Path| path.to_str().expect("a plain path").to_owned();
-    let frames: Vec<Vec<u8>> = (0..5)
-        .map(|sequence| {
-            let mut frame = Aligned::BLANK;
-            emit_into(&mut frame, Header { pan: 0x4C48, mote: 7, sequence }, &Report::default());
-            assert!(Key::new(&KEY).seal(&mut frame, 100 + u32::from(sequence)));
-            frame.bytes().to_vec()
-        })
-        .collect();
-    fs::write(at("air.pcap"), captured(195, &frames, <[u8]>::to_vec)).expect("a capture");
+    fs::write(at("air.pcap"), captured(195, &secured_frames(), <[u8]>::to_vec)).expect("a capture");
     let room = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../calib/default.toml")).expect("a room");
     let with_key = |name: &str| room.replace("[mote]", &format!("[mote]\nkey_file = \"{name}\""));
-    let hex = KEY.map(|byte| format!("{byte:02x}")).concat();
+    let hex = hex::encode(KEY);
     fs::write(at("lab.toml"), with_key("lab.key")).expect("a room");
     fs::write(at("lab.key"), &hex).expect("a key");
     let take = text(&at("take"));

@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use super::simulate::{self, Swarm};
 use crate::calib::schema;
 use crate::pcap::{self, Frame};
+use crate::whole;
 
 /// The share of one core that listening may take.
 const CPU_LIMIT: f64 = 0.5;
@@ -124,8 +125,7 @@ fn judge(
         100.0 * share,
         growth.map_or(String::new(), |growth| format!("; memory {growth:.3} times that after {WARM_S} s"))
     );
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/listen");
-    let path = folder.join(format!("measured-{seconds}.json"));
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../target/listen/measured-{seconds}.json"));
     let figures = json!({
         "motes": motes,
         "seconds": seconds,
@@ -134,9 +134,7 @@ fn judge(
         "percent_of_a_core": 100.0 * share,
         "rss_mb": rss / 1e6,
     });
-    std::fs::create_dir_all(&folder)
-        .and_then(|()| std::fs::write(&path, format!("{figures:#}\n")))
-        .with_context(|| path.display().to_string())?;
+    whole::json(&path, &figures)?;
     ensure!(heard.len() == usize::from(motes), "{} motes of {motes} are known", heard.len());
     ensure!(frames == sent && lost == 0, "{} frames did not arrive", sent - frames);
     ensure!(share < CPU_LIMIT, "{:.0} % of one core is more than {:.0} %", 100.0 * share, 100.0 * CPU_LIMIT);

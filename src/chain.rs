@@ -41,7 +41,7 @@ mod classify;
 mod ears;
 
 pub use batch::Batch;
-pub use classify::{Classifier, Flashes, Seen, Sighting, Understood};
+pub use classify::{Classifier, Flashes, Listener, Seen, Sighting, Understood};
 pub use ears::Ears;
 
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
@@ -90,6 +90,14 @@ pub enum Estimate {
     Angles,
 }
 
+/// It is time for a report.
+#[derive(Debug, Clone, Copy)]
+pub struct Due {
+    at: Ticks,
+    half_turn: HalfTurn,
+    pulses_lost: u16,
+}
+
 /// The second half: sightings to reports.
 #[derive(Debug, Clone, Default)]
 pub struct Solver {
@@ -115,11 +123,15 @@ impl Solver {
     }
 
     /// Takes one sighting.
-    #[inline]
-    pub fn step(&mut self, config: &Config, sighting: Sighting) -> Option<Report> {
-        if !self.ears.rests() {
-            self.listen(config, sighting.seen, sighting.flashes);
-        }
+    pub fn step(&mut self, config: &Config, sighting: &Sighting) -> Option<Report> {
+        let due = self.take(config, sighting)?;
+        self.report(config, due)
+    }
+
+    /// The same up to the report, if it is time for one.
+    #[inline(always)]
+    pub fn take(&mut self, config: &Config, sighting: &Sighting) -> Option<Due> {
+        let starts = !self.ears.rests() && self.listen(config, sighting.seen, sighting.flashes);
         let (at, before, half_turn) = match sighting.seen {
             Seen::Sweep(sweep) => {
                 // A sweep out of view says nothing of the place, but the time of a report has come.
@@ -150,20 +162,15 @@ impl Solver {
                 return None;
             }
         };
-        let is_own = config.send.counts() && self.count(config, sighting.flashes, at, before, half_turn);
+        let is_own = config.send.counts() && self.count(config, (at, before, half_turn), starts);
         let is_due = if config.send.when == When::Steady { self.is_due(config, at, half_turn) } else { is_own };
-        if !is_due {
-            return None;
-        }
-        self.report(config, sighting, at, half_turn)
+        is_due.then_some(Due { at, half_turn, pulses_lost: sighting.pulses_lost })
     }
 
     /// Counts half turns up to the one that began `before` ago at `at`; whether it is the mote's own.
     #[inline(always)]
-    fn count(&mut self, config: &Config, flashes: Flashes, at: Ticks, before: Span, half_turn: HalfTurn) -> bool {
-        // Where its bit of this half turn came, it was listened to.
-        let starts = flashes.data(Station::A).is_some() && self.ears.ears[Station::A as usize].ootx.is_at_start();
-        send::step(&config.send, config.report_every_half_turns, &mut self.send, (at, before, half_turn), starts)
+    fn count(&mut self, config: &Config, light: (Ticks, Span, HalfTurn), starts: bool) -> bool {
+        send::step(&config.send, config.report_every_half_turns, &mut self.send, light, starts)
     }
 
     /// Whether frames that were made ahead wait for a half turn of the mote's own ([`send::Config::ahead_half_turns`]).
@@ -178,9 +185,12 @@ impl Solver {
         self.send.is_turn(&config.send, config.report_every_half_turns)
     }
 
+    /// The report that is due, if there is something to report.
+    ///
     /// Not inlined: it comes with one sighting in several, and what it needs would be made ready for all of them.
     #[inline(never)]
-    fn report(&mut self, config: &Config, sighting: Sighting, at: Ticks, half_turn: HalfTurn) -> Option<Report> {
+    pub fn report(&mut self, config: &Config, due: Due) -> Option<Report> {
+        let Due { at, half_turn, pulses_lost } = due;
         // Stations that are not where the room's file has them make a wrong place look right.
         if self.ears.hear_a_stranger(&config.ootx) {
             return None;
@@ -198,7 +208,7 @@ impl Solver {
         let refused = self.fix.refused();
         report.losses = Losses {
             edges: 0,
-            pulses: sighting.pulses_lost,
+            pulses: pulses_lost,
             sweeps: self.angle.outside(),
             fixes: refused.geometry.wrapping_add(refused.mismatch).wrapping_add(self.disbelieved),
             reports: 0,
@@ -233,9 +243,9 @@ impl Solver {
         }
     }
 
-    /// Hands the bits of the flashes to the stations' frames, and the rotors' terms on.
+    /// Hands the bits of the flashes to the stations' frames, and the rotors' terms on; whether station A's frame begins.
     #[inline(never)]
-    fn listen(&mut self, config: &Config, seen: Seen, flashes: Flashes) {
+    fn listen(&mut self, config: &Config, seen: Seen, flashes: Flashes) -> bool {
         self.ears.listen(&config.ootx, seen, flashes, |station, block| {
             if config.angle.asks()
                 && let Some(rotors) = angle::received(block)
@@ -243,6 +253,9 @@ impl Solver {
                 angle::receive(&config.angle, &mut self.angle, station, rotors);
             }
         });
+        config.send.when == When::Slotted
+            && flashes.data(Station::A).is_some()
+            && self.ears.ears[Station::A as usize].ootx.is_at_start()
     }
 
     /// How the mote is. Left to the board: uptime, reset, queues, and what it lost by itself.
@@ -372,14 +385,14 @@ impl Chain {
     /// Takes one edge; gives the report that it completes.
     pub fn step(&mut self, config: &Config, edge: Edge) -> Option<Report> {
         let sighting = self.classifier.step(config, edge)?;
-        let report = self.solver.step(config, sighting);
+        let report = self.solver.step(config, &sighting);
         self.complete(report)
     }
 
     /// Notices that no light comes; to be called at least once per quarter wrap of the counter.
     pub fn expire(&mut self, config: &Config, now: Ticks) -> Option<Report> {
         let sighting = self.classifier.expire(now)?;
-        let report = self.solver.step(config, sighting);
+        let report = self.solver.step(config, &sighting);
         self.complete(report)
     }
 

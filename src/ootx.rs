@@ -58,11 +58,11 @@ const ALL: u32 = (1 << WORDS) - 1;
 const POLYNOMIAL: u32 = 0xedb8_8320;
 
 /// Looking for the preamble.
-const HUNTING: u8 = u8::MAX;
+const HUNTING: u8 = 0;
 /// The place of the length; the words of block and CRC follow.
-const LENGTH: u8 = 0;
+const LENGTH: u8 = 1;
 /// The place of the next frame's preamble, after the words.
-const PREAMBLE: u8 = WORDS as u8 + 1;
+const PREAMBLE: u8 = LENGTH + WORDS as u8 + 1;
 /// Bits in a word, its closing one aside.
 const WORD_BITS: u8 = 16;
 
@@ -116,13 +116,13 @@ enum Progress {
     Flaw(Flaw),
 }
 
-/// One station's frame as far as it has come. 56 bytes.
-#[derive(Debug, Clone)]
+/// One station's frame as far as it has come. 56 bytes, all of them 0 at first.
+#[derive(Debug, Clone, Default)]
 pub struct State {
     /// Block and CRC.
     words: [u16; WORDS],
-    /// The words that have not come yet, a bit each.
-    missing: u32,
+    /// The words that have come, a bit each.
+    known: u32,
     /// Over the first `checked` words of the block.
     crc: u32,
     checked: u8,
@@ -130,7 +130,7 @@ pub struct State {
     rest: u16,
     /// The word that is coming.
     word: u16,
-    /// Which one that is: [`LENGTH`], 1 ..= [`WORDS`], [`PREAMBLE`] or [`HUNTING`].
+    /// Which one that is: [`HUNTING`], [`LENGTH`], those of block and CRC, [`PREAMBLE`].
     place: u8,
     /// Bits of it that have gone by; zeros in a row while hunting.
     bits: u8,
@@ -138,24 +138,6 @@ pub struct State {
     torn: bool,
     good: u8,
     bad: u8,
-}
-
-impl Default for State {
-    fn default() -> Self {
-        Self {
-            words: [0; WORDS],
-            missing: ALL,
-            crc: !0,
-            checked: 0,
-            rest: 0,
-            word: 0,
-            place: HUNTING,
-            bits: 0,
-            torn: false,
-            good: 0,
-            bad: 0,
-        }
-    }
 }
 
 impl State {
@@ -185,6 +167,7 @@ impl State {
 
     /// Starts from nothing, counters aside: the cycle was lost, so the place in the frame is, and who flashes may be
     /// another station. Ends a rest too.
+    #[inline(never)]
     pub fn restart(&mut self) {
         self.rest = 0;
         self.drop_words();
@@ -192,8 +175,8 @@ impl State {
     }
 
     fn drop_words(&mut self) {
-        self.missing = ALL;
-        self.crc = !0;
+        self.known = 0;
+        self.crc = 0;
         self.checked = 0;
     }
 
@@ -246,14 +229,14 @@ impl State {
             LENGTH if !self.torn && word != BLOCK_BYTES as u16 => return Progress::Flaw(Flaw::Length),
             LENGTH => {}
             place => {
-                let index = place - 1;
+                let index = place - (LENGTH + 1);
                 let mask = 1 << index;
                 if !self.torn
-                    && self.missing & mask != 0
+                    && self.known & mask == 0
                     && let Some(kept) = self.words.get_mut(usize::from(index))
                 {
                     *kept = word;
-                    self.missing &= !mask;
+                    self.known |= mask;
                 }
             }
         }
@@ -271,20 +254,21 @@ impl State {
     #[inline(never)]
     fn check(&mut self) -> bool {
         let index = usize::from(self.checked);
-        if index < BLOCK_WORDS && self.missing >> index & 1 == 0 {
+        if index < BLOCK_WORDS && self.known >> index & 1 != 0 {
             let word = self.words.get(index).copied().unwrap_or(0);
             let (word, steps) = if index == BLOCK_WORDS - 1 { (word & 0xff, 8) } else { (word, 16) };
-            self.crc ^= u32::from(word);
+            let mut crc = !self.crc ^ u32::from(word);
             for _ in 0..steps {
-                let odd = self.crc & 1 != 0;
-                self.crc >>= 1;
+                let odd = crc & 1 != 0;
+                crc >>= 1;
                 if odd {
-                    self.crc ^= POLYNOMIAL;
+                    crc ^= POLYNOMIAL;
                 }
             }
+            self.crc = !crc;
             self.checked += 1;
         }
-        usize::from(self.checked) == BLOCK_WORDS && self.missing == 0
+        usize::from(self.checked) == BLOCK_WORDS && self.known == ALL
     }
 
     #[cold]
@@ -302,7 +286,7 @@ impl State {
     #[inline(never)]
     fn conclude(&mut self, config: &Config) -> Outcome {
         let [words @ .., low, high] = &self.words;
-        if u32::from(*low) | u32::from(*high) << 16 != !self.crc {
+        if u32::from(*low) | u32::from(*high) << 16 != self.crc {
             return self.refuse(Flaw::Crc);
         }
         let block = Block::of(words);

@@ -60,6 +60,10 @@ pub struct Config {
 /// may pass two thirds of a half turn earlier than the first one's, 60 degrees to either side.
 pub const SEALING_HALF_TURNS: u8 = 5;
 
+/// Half turns that nobody has to look at are reckoned with at most so many at once: a clock that is tuned by 3 % meanwhile
+/// is a quarter of a half turn off at their end.
+const REACH: u16 = 8;
+
 /// Which half turns are a mote's own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum When {
@@ -120,9 +124,12 @@ const fn remainder(number: u16, every: u16) -> u16 {
 pub struct State {
     mote: u16,
     /// Slotted: half turns since station A's frame began, below [`FRAME_BITS`]. By dice: half turns to go to the next one.
+    /// Of the half turn that was looked at last.
     count: u16,
-    /// When the latest half turn began.
-    began: Option<Ticks>,
+    /// Half turns from that one to the next that needs a look, [`REACH`] at most; 0 before the first.
+    to_go: u8,
+    /// Half a half turn before that one began: times from here on are those of one half turn after another.
+    latest: Ticks,
     /// Zero before the first throw.
     dice: u32,
     sent: Option<Sent>,
@@ -154,26 +161,13 @@ impl State {
 
     /// The light was lost, and with it the count.
     pub fn forget(&mut self) {
-        self.began = None;
-    }
-
-    /// Whether a report is due in the latest half turn.
-    #[inline(always)]
-    fn is_due(&self, config: &Config, every: u16) -> bool {
-        match config.when {
-            When::Steady => false,
-            When::Jittered => self.count == 0,
-            When::Slotted => {
-                let number = self.count + u16::from(config.ahead_half_turns);
-                is_own(if number < FRAME_BITS { number } else { number - FRAME_BITS }, self.mote, every)
-            }
-        }
+        self.to_go = 0;
     }
 
     /// Whether what was made ahead waits for a half turn of the mote's own: in the light, where it has some.
     #[must_use]
     pub const fn takes_turns(&self, config: &Config) -> bool {
-        config.ahead_half_turns != 0 && matches!(config.when, When::Slotted) && self.began.is_some()
+        config.ahead_half_turns != 0 && matches!(config.when, When::Slotted) && self.to_go != 0
     }
 
     /// Whether what was made ahead is to go out now: in a half turn of its own, or because it waits for none.
@@ -195,6 +189,39 @@ impl State {
             When::Jittered => self.count = if self.count > 0 { self.count - 1 } else { self.throw(every) },
             When::Slotted => self.count = if self.count < FRAME_BITS - 1 { self.count + 1 } else { 0 },
         }
+    }
+
+    /// Looks at the half turn that began at `began`, as [`step`].
+    #[inline(never)]
+    fn look(&mut self, config: &Config, every: u16, (began, before, length): (Ticks, Span, u32), starts: bool) -> bool {
+        if length == 0 {
+            return false;
+        }
+        let mut since = if self.to_go == 0 { length / 2 } else { began.since(self.latest).0 };
+        // At most the 48 that a cycle is carried on without light, and once round the counter where somebody errs.
+        while since >= length {
+            since -= length;
+            self.advance(config, every);
+        }
+        self.latest = began.before(Span(if before.0 < length { length / 2 } else { since }));
+        // Each of these has to be looked at.
+        let reach = if config.moved_q16 == 0 && config.ahead_half_turns == 0 { REACH } else { 1 };
+        let (is_due, to_go) = match config.when {
+            When::Steady => (false, 1),
+            When::Jittered => (self.count == 0, self.count.max(1)),
+            When::Slotted => {
+                if starts {
+                    self.count = 0;
+                }
+                let number = self.count + u16::from(config.ahead_half_turns);
+                let number = if number < FRAME_BITS { number } else { number - FRAME_BITS };
+                let (own, place) = (slot(self.mote, every), remainder(number, every.max(1)));
+                let away = if own > place { own - place } else { own + every - place };
+                (is_own(number, self.mote, every), away.min(FRAME_BITS - number))
+            }
+        };
+        self.to_go = to_go.min(reach) as u8;
+        is_due
     }
 
     /// Half turns to go to the one after the next: half of `every` to one and a half, less the one that begins.
@@ -245,25 +272,9 @@ pub fn step(
     (at, before, half_turn): (Ticks, Span, HalfTurn),
     starts: bool,
 ) -> bool {
-    let began = at.before(before);
-    let length = half_turn.span().0;
-    let latest = state.began.replace(began);
-    if length == 0 {
+    let (began, length) = (at.before(before), half_turn.span().0);
+    if !starts && began.since(state.latest).0 < u32::from(state.to_go).wrapping_mul(length) {
         return false;
     }
-    if let Some(latest) = latest {
-        // At most the 48 that a cycle is carried on without light, and once round the counter where somebody errs.
-        let mut since = began.since(latest).0.wrapping_add(length / 2);
-        while since >= length {
-            since -= length;
-            state.advance(config, every);
-        }
-        if before.0 >= length {
-            state.began = Some(began.before(Span(since)).after(Span(length / 2)));
-        }
-    }
-    if config.when == When::Slotted && starts {
-        state.count = 0;
-    }
-    state.is_due(config, every)
+    state.look(config, every, (began, before, length), starts)
 }

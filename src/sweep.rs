@@ -318,17 +318,45 @@ impl State {
 /// Takes one pulse; says what it was, if anything.
 #[inline]
 pub fn step(config: &Config, state: &mut State, pulse: Pulse) -> Option<Light> {
-    step_then(config, state, pulse, |_, light| light)
+    step_then(config, state, pulse, Say)
 }
 
-/// The same, and goes on with `then`: in each case by itself, so that none pays for what the others would say.
+/// What a pulse turns out to be, and what comes of it: in each case by itself, so that none pays for what the others would
+/// say. Methods, for those can be told to be inlined wherever they are called, and closures not.
+pub(crate) trait Then: Sized {
+    type Out;
+    fn flash(self, state: &mut State, sync: Sync) -> Self::Out;
+    fn laser(self, state: &mut State, sweep: Sweep) -> Self::Out;
+    fn nothing(self, state: &mut State) -> Self::Out;
+    fn lost(self, state: &mut State) -> Self::Out;
+}
+
+/// Just says it.
+struct Say;
+
+impl Then for Say {
+    type Out = Option<Light>;
+
+    fn flash(self, _: &mut State, sync: Sync) -> Option<Light> {
+        Some(Light::Sync(sync))
+    }
+
+    fn laser(self, _: &mut State, sweep: Sweep) -> Option<Light> {
+        Some(Light::Sweep(sweep))
+    }
+
+    fn nothing(self, _: &mut State) -> Option<Light> {
+        None
+    }
+
+    fn lost(self, _: &mut State) -> Option<Light> {
+        Some(Light::Lost)
+    }
+}
+
+/// The same, and goes on with `then`.
 #[inline(always)]
-pub(crate) fn step_then<T>(
-    config: &Config,
-    state: &mut State,
-    pulse: Pulse,
-    mut then: impl FnMut(&mut State, Option<Light>) -> T,
-) -> T {
+pub(crate) fn step_then<T: Then>(config: &Config, state: &mut State, pulse: Pulse, then: T) -> T::Out {
     let lock = &mut state.lock;
     let mut is_over = false;
     if lock.phase != Phase::Dark {
@@ -337,24 +365,23 @@ pub(crate) fn step_then<T>(
                 Some((station, rise)) => {
                     if let Some(data) = lock.flash(config, &mut state.rejects, station, rise, pulse.width.0) {
                         let sync = lock.sync(station, data);
-                        return then(state, Some(Light::Sync(sync)));
+                        return then.flash(state, sync);
                     }
                 }
                 None => {
                     if let Some(sweep) = lock.laser(config, &mut state.rejects, pulse) {
-                        return then(state, Some(Light::Sweep(sweep)));
+                        return then.laser(state, sweep);
                     }
                 }
             }
             if !lock.is_doubtful() {
-                return then(state, None);
+                return then.nothing(state);
             }
         } else {
             is_over = true;
         }
     }
-    let light = state.is_lost_by(pulse, is_over).then_some(Light::Lost);
-    then(state, light)
+    if state.is_lost_by(pulse, is_over) { then.lost(state) } else { then.nothing(state) }
 }
 
 /// Says whether the light has been gone too long, where no pulse comes to say so; `now` is later than every pulse.

@@ -186,6 +186,26 @@ mod tests {
     }
 
     #[test]
+    fn a_clock_that_is_tuned_moves_no_count() {
+        for every in [7, 8, 120, 358] {
+            let config = sends(When::Slotted);
+            let (mut state, mut began) = (State::new(3), Ticks(0xfff0_0000));
+            for number in 0..2_000u32 {
+                // By 3 % at once, there and back.
+                let ticks = if number / 100 % 2 == 0 { 83_333 } else { 85_833 };
+                let half_turn = HalfTurn::from_ticks_q8(ticks << 8).unwrap_or_default();
+                let light = (began.after(Span(30_000)), Span(30_000), half_turn);
+                let due = step(&config, every, &mut state, light, number == 10);
+                if let Some(number) = number.checked_sub(10) {
+                    let number = (number % u32::from(FRAME_BITS)) as u16;
+                    assert_eq!(due, is_own(number, 3, every), "{} of every {}", number, every);
+                }
+                began = began.after(Span(ticks));
+            }
+        }
+    }
+
+    #[test]
     fn dice_keep_the_rate_and_fall_differently_for_each_mote() {
         let mut motes = [Mote::new(1, 8, When::Jittered), Mote::new(2, 8, When::Jittered)];
         let (mut reports, mut both, mut last) = ([0; 2], 0, [None; 2]);

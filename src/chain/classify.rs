@@ -4,7 +4,7 @@
 
 use super::Config;
 use crate::edge::Edge;
-use crate::sweep::{Closed, HalfTurn, Light, Station, Status, Sweep, Sync};
+use crate::sweep::{Closed, HalfTurn, Station, Status, Sweep, Sync};
 use crate::time::Ticks;
 use crate::{pulse, sweep};
 
@@ -63,6 +63,75 @@ impl Flashes {
     }
 }
 
+/// Who wants to hear of sightings.
+pub trait Listener {
+    /// Of a sweep that was told at once, as nearly all are; `sighting` makes its sighting.
+    fn hear(&mut self, sighting: impl Fn() -> Sighting);
+
+    /// Of anything else.
+    fn hear_rarely(&mut self, sighting: &Sighting);
+}
+
+impl Listener for Option<Sighting> {
+    fn hear(&mut self, sighting: impl Fn() -> Sighting) {
+        *self = Some(sighting());
+    }
+
+    fn hear_rarely(&mut self, sighting: &Sighting) {
+        *self = Some(*sighting);
+    }
+}
+
+/// What a pulse led to.
+enum Heard {
+    Nothing,
+    /// A sweep, of which was told.
+    Told,
+    /// The end of a slot with these flashes.
+    Late(Flashes),
+    /// The end of the cycle, in a slot with these.
+    Lost(Flashes),
+}
+
+/// Tells who listens of a sweep; of what is rarer, whoever asked.
+struct Tell<'a, L> {
+    flashes: &'a mut Flashes,
+    listener: &'a mut L,
+}
+
+impl<L: Listener> sweep::Then for Tell<'_, L> {
+    type Out = Heard;
+
+    #[inline(always)]
+    fn laser(self, sweeps: &mut sweep::State, sweep: Sweep) -> Heard {
+        let flashes = self.flashes.take();
+        self.listener.hear(|| sighting(sweeps, Seen::Sweep(sweep), flashes));
+        Heard::Told
+    }
+
+    #[inline(always)]
+    fn flash(self, sweeps: &mut sweep::State, sync: Sync) -> Heard {
+        let before = *self.flashes;
+        *self.flashes = before.with(sync);
+        if !sweeps.has_closed() {
+            return Heard::Nothing;
+        }
+        // The slot that this flash ends had its own.
+        *self.flashes = Flashes::default().with(sync);
+        Heard::Late(before)
+    }
+
+    #[inline(always)]
+    fn nothing(self, sweeps: &mut sweep::State) -> Heard {
+        if sweeps.has_closed() { Heard::Late(self.flashes.take()) } else { Heard::Nothing }
+    }
+
+    #[inline(always)]
+    fn lost(self, _: &mut sweep::State) -> Heard {
+        Heard::Lost(self.flashes.take())
+    }
+}
+
 /// What the first half knows of itself, for [`Solver::health`](super::Solver::health).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -101,23 +170,25 @@ impl Classifier {
     /// Takes one pulse, where a board's capture already pairs the edges.
     #[inline]
     pub fn pulse(&mut self, config: &Config, pulse: pulse::Pulse) -> Option<Sighting> {
+        let mut told = None;
+        self.pulse_to(config, pulse, &mut told);
+        told
+    }
+
+    /// The same for who is waiting for its sighting; whether there was one.
+    #[inline(always)]
+    pub fn pulse_to(&mut self, config: &Config, pulse: pulse::Pulse, listener: &mut impl Listener) -> bool {
         let Self { sweep: sweeps, flashes, .. } = self;
-        sweep::step_then(&config.sweep, sweeps, pulse, |sweeps, light| match light {
-            Some(Light::Sweep(sweep)) => Some(sighting(sweeps, Seen::Sweep(sweep), flashes.take())),
-            Some(Light::Sync(sync)) => {
-                let before = *flashes;
-                *flashes = before.with(sync);
-                if !sweeps.has_closed() {
-                    return None;
-                }
-                // The slot that this flash ends had its own.
-                *flashes = Flashes::default().with(sync);
-                late(sweeps, pulse.start, before)
-            }
-            None if !sweeps.has_closed() => None,
-            None => late(sweeps, pulse.start, flashes.take()),
-            Some(Light::Lost) => lost(sweeps, flashes.take()),
-        })
+        let sighting = match sweep::step_then(&config.sweep, sweeps, pulse, Tell { flashes, listener }) {
+            Heard::Nothing => return false,
+            Heard::Told => return true,
+            Heard::Late(flashes) => late(sweeps, pulse.start, flashes),
+            Heard::Lost(flashes) => lost(sweeps, flashes),
+        };
+        if let Some(sighting) = &sighting {
+            listener.hear_rarely(sighting);
+        }
+        sighting.is_some()
     }
 
     /// Notices that no light comes; to be called at least once per quarter wrap of the counter, and as often as

@@ -48,9 +48,11 @@ impl Ears {
     /// Whether nobody listens in this half turn, one more of which has gone by.
     #[inline]
     pub(super) fn rests(&mut self) -> bool {
-        let rests = self.rest > 0;
-        self.rest = self.rest.saturating_sub(1);
-        rests
+        if self.rest == 0 {
+            return false;
+        }
+        self.rest -= 1;
+        true
     }
 
     /// Hands the bits of the flashes to the stations' frames, and takes note of who says what.

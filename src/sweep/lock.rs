@@ -210,6 +210,7 @@ impl Lock {
         self.rest = Rest::Nothing;
     }
 
+    #[inline(never)]
     pub(super) fn width_bias(&self, station: Station) -> Option<i16> {
         let bias = self.trains[station as usize].bias_q3 >> BIAS_SHIFT;
         let share = i16::try_from(self.half_turn.share(Span(bias.unsigned_abs()))).unwrap_or(i16::MAX);

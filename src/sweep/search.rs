@@ -136,11 +136,11 @@ impl Search {
             return Status::Searching;
         }
         let length = newest.since(self.pulse(SEARCH_DEPTH - 1).start).0;
-        let longest = self.pulses.iter().fold(0, |longest, pulse| pulse.width.0.max(longest));
+        let longest = (0..self.len).fold(0, |longest, age| self.pulse(age).width.0.max(longest));
         // In whole multiples, which take no division.
         if length >> V2_RATIO_LOG2 > longest {
             Status::V2
-        } else if length < longest.saturating_mul(WIDEST_RATIO) {
+        } else if length < longest.min(u32::MAX / WIDEST_RATIO) * WIDEST_RATIO {
             Status::Widths
         } else {
             Status::Searching

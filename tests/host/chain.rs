@@ -39,7 +39,7 @@ fn hear(pulses: &[Pulse]) -> Heard {
     for pulse in pulses {
         let Some(sighting) = classifier.pulse(&config, *pulse) else { continue };
         ears.hear(&config.ootx, &sighting, |station, block| blocks[station as usize].push(*block));
-        let _ = solver.step(&config, sighting);
+        let _ = solver.step(&config, &sighting);
     }
     let now = pulses.last().map_or(Ticks(0), |last| last.start.after(last.width));
     let health = solver.health(&config, &classifier.understood(now));

@@ -332,7 +332,7 @@ pub extern "C" fn stage_classify(rise: u32, fall: u32) -> u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn stage_solve(_: u32, _: u32) -> u32 {
     let rig = rig();
-    match rig.solver.step(&CONFIG, rig.sighting) {
+    match rig.solver.step(&CONFIG, &rig.sighting) {
         Some(report) => {
             rig.report = report;
             1

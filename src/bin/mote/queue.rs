@@ -62,7 +62,12 @@ impl<T: Copy, const N: usize> Queue<T, N> {
     /// Entries written and not yet read; more than `N` only where a count is wrong.
     #[inline(always)]
     fn waiting(&self) -> u32 {
-        self.written.load(Ordering::Relaxed).wrapping_sub(self.read.load(Ordering::Relaxed)) % (2 * N as u32)
+        Self::between(self.read.load(Ordering::Relaxed), self.written.load(Ordering::Relaxed))
+    }
+
+    #[inline(always)]
+    fn between(read: u32, written: u32) -> u32 {
+        written.wrapping_sub(read) % (2 * N as u32)
     }
 
     #[inline(always)]
@@ -87,9 +92,22 @@ impl<T: Copy, const N: usize> Writer<T, N> {
     #[inline(always)]
     #[must_use]
     pub fn push(&mut self, entry: T) -> bool {
-        self.append(|place| {
-            place.write(entry);
-        })
+        self.place().map(|place| place.put(entry)).is_some()
+    }
+
+    /// The place of the next entry, if there is room for it.
+    #[inline(always)]
+    pub fn place(&mut self) -> Option<Place<'_, T, N>> {
+        let written = self.0.written.load(Ordering::Relaxed);
+        let waiting = Queue::<T, N>::between(self.0.read.load(Ordering::Relaxed), written);
+        if waiting >= N as u32 {
+            return None;
+        }
+        if waiting >= self.0.most.load(Ordering::Relaxed) {
+            self.0.most.store(waiting + 1, Ordering::Relaxed);
+        }
+        compiler_fence(Ordering::Acquire);
+        Some(Place { queue: self, written })
     }
 
     /// Appends what `fill` makes of an old entry or of zeros; false where there is no room for it.
@@ -100,26 +118,33 @@ impl<T: Copy, const N: usize> Writer<T, N> {
         T: Zeros,
     {
         // SAFETY: the place holds what was once written to it or, before that, zeros, which are a value as `Zeros` says.
-        self.append(|place| fill(unsafe { place.assume_init_mut() }))
+        self.place().map(|place| place.write(|place| fill(unsafe { place.assume_init_mut() }))).is_some()
+    }
+}
+
+/// Where there is room for an entry.
+pub struct Place<'a, T: 'static, const N: usize> {
+    queue: &'a mut Writer<T, N>,
+    written: u32,
+}
+
+impl<T: Copy, const N: usize> Place<'_, T, N> {
+    /// Appends `entry`.
+    #[inline(always)]
+    pub fn put(self, entry: T) {
+        self.write(|place| {
+            place.write(entry);
+        });
     }
 
     /// Appends what `write` leaves in its place, which is to be a value.
     #[inline(always)]
-    fn append(&mut self, write: impl FnOnce(&mut MaybeUninit<T>)) -> bool {
-        let written = self.0.written.load(Ordering::Relaxed);
-        let waiting = self.0.waiting();
-        if waiting >= N as u32 {
-            return false;
-        }
-        if waiting >= self.0.most.load(Ordering::Relaxed) {
-            self.0.most.store(waiting + 1, Ordering::Relaxed);
-        }
-        compiler_fence(Ordering::Acquire);
+    fn write(self, write: impl FnOnce(&mut MaybeUninit<T>)) {
+        let Self { queue: Writer(queue), written } = self;
         // SAFETY: not between `read` and `written`, so the writer's, and there is one writer, borrowed.
-        write(unsafe { &mut *self.0.entry(written) });
+        write(unsafe { &mut *queue.entry(written) });
         compiler_fence(Ordering::Release);
-        self.0.written.store(written.wrapping_add(1), Ordering::Relaxed);
-        true
+        queue.written.store(written.wrapping_add(1), Ordering::Relaxed);
     }
 }
 
@@ -138,7 +163,7 @@ impl<T: Copy, const N: usize> Reader<T, N> {
     #[inline(always)]
     pub fn oldest(&self) -> Option<&T> {
         let read = self.0.read.load(Ordering::Relaxed);
-        if self.0.waiting() == 0 {
+        if Queue::<T, N>::between(read, self.0.written.load(Ordering::Relaxed)) == 0 {
             return None;
         }
         compiler_fence(Ordering::Acquire);
@@ -150,7 +175,7 @@ impl<T: Copy, const N: usize> Reader<T, N> {
     #[inline(always)]
     pub fn pop(&mut self) {
         let read = self.0.read.load(Ordering::Relaxed);
-        if self.0.waiting() != 0 {
+        if Queue::<T, N>::between(read, self.0.written.load(Ordering::Relaxed)) != 0 {
             compiler_fence(Ordering::Release);
             self.0.read.store(read.wrapping_add(1), Ordering::Relaxed);
         }

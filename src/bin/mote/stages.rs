@@ -7,7 +7,7 @@
 use core::marker::PhantomData;
 use core::sync::atomic::{AtomicU16, Ordering};
 
-use lighthouse_mote::chain::{Batch, Classifier, Config, Estimate, Seen, Sighting, Solver, Understood};
+use lighthouse_mote::chain::{Batch, Classifier, Config, Estimate, Listener, Seen, Sighting, Solver, Understood};
 use lighthouse_mote::frame::{self, Aligned, Header, Report, Reset};
 use lighthouse_mote::identity::Identity;
 use lighthouse_mote::pulse::Pulse;
@@ -121,8 +121,7 @@ impl Queues {
 pub struct Classify<B: Board> {
     classifier: Classifier,
     pulses: B::Pulses,
-    sightings: Writer<Sighting, SIGHTINGS>,
-    owed: Option<Sighting>,
+    out: Out,
     tales: Writer<Told, TOLD>,
     uptime: u32,
 }
@@ -130,7 +129,8 @@ pub struct Classify<B: Board> {
 impl<B: Board> Classify<B> {
     /// Reads `pulses`, writes `sightings` and `tales`.
     fn new(pulses: B::Pulses, sightings: Writer<Sighting, SIGHTINGS>, tales: Writer<Told, TOLD>) -> Self {
-        Self { classifier: Classifier::default(), pulses, sightings, owed: None, tales, uptime: 0 }
+        let out = Out { sightings, owed: None };
+        Self { classifier: Classifier::default(), pulses, out, tales, uptime: 0 }
     }
 
     /// Takes the oldest pulse.
@@ -139,14 +139,9 @@ impl<B: Board> Classify<B> {
     /// rare second call.
     #[inline(always)]
     pub fn run(&mut self, config: &Config) -> Done {
-        let passed_on = match self.pulses.next() {
-            Some(pulse) => match self.classifier.pulse(config, pulse) {
-                Some(sighting) => self.pass_on(sighting),
-                None => false,
-            },
-            None => false,
-        };
-        Done { passed_on, more: !self.pulses.is_empty() }
+        let Self { classifier, pulses, out, .. } = self;
+        let passed_on = pulses.next().is_some_and(|pulse| classifier.pulse_to(config, pulse, out));
+        Done { passed_on, more: !pulses.is_empty() }
     }
 
     /// A second has passed: notices a long darkness at `now`, and tells how the light is understood.
@@ -156,7 +151,7 @@ impl<B: Board> Classify<B> {
         if self.pulses.is_empty()
             && let Some(sighting) = self.classifier.expire(now)
         {
-            self.pass_on(sighting);
+            self.out.owe(&sighting);
         }
         let understood = self.classifier.understood(now);
         // Dropped where the second stage did not get to the one before: the next one says the same.
@@ -167,16 +162,33 @@ impl<B: Board> Classify<B> {
     pub fn half_turn(&self) -> Option<Span> {
         self.classifier.half_turn().map(HalfTurn::span)
     }
+}
 
+/// The way to the second stage.
+struct Out {
+    sightings: Writer<Sighting, SIGHTINGS>,
+    owed: Option<Sighting>,
+}
+
+impl Listener for Out {
     #[inline(always)]
-    fn pass_on(&mut self, sighting: Sighting) -> bool {
+    fn hear(&mut self, sighting: impl Fn() -> Sighting) {
         // What is owed comes first, or the news would be of the wrong angles.
-        if self.owed.is_some() || !self.sightings.push(sighting) {
-            self.owe(&sighting);
+        match self.sightings.place() {
+            // Made here and there, for what is made before has to be copied.
+            Some(place) if self.owed.is_none() => place.put(sighting()),
+            _ => self.owe(&sighting()),
         }
-        true
     }
 
+    #[inline(always)]
+    fn hear_rarely(&mut self, sighting: &Sighting) {
+        self.owe(sighting);
+    }
+}
+
+impl Out {
+    /// The same, with all that may have to be done.
     #[cold]
     #[inline(never)]
     fn owe(&mut self, sighting: &Sighting) {
@@ -273,14 +285,16 @@ impl<B: Board> Solve<B> {
             #[cfg(feature = "defmt")]
             defmt::warn!("light lost; edges {=u16}, pulses {=u16}", B::edges_lost(), sighting.pulses_lost);
         }
-        let report = self.solver.step(config, *sighting);
+        let due = self.solver.take(config, sighting);
         let angles = if config.estimate == Estimate::Angles { self.batch.step(sighting) } else { None };
         self.sightings.pop();
         #[cfg(feature = "security")]
         if self.frames.seal.is_some() {
             // Out before anything is sealed again, which takes longer than a slot.
             let mut passed_on = self.solver.is_turn(config) && self.frames.release();
-            if let Some(report) = report {
+            if let Some(due) = due
+                && let Some(report) = self.solver.report(config, due)
+            {
                 self.due = Due::Report(report);
             } else if let Some(angles) = angles {
                 self.frames.waits = false;
@@ -291,17 +305,18 @@ impl<B: Board> Solve<B> {
             let is_due = !matches!(self.due, Due::Nothing);
             return Done { passed_on, more: is_due || self.sightings.oldest().is_some() || self.is_free_to_tell() };
         }
-        let passed_on = match report {
-            Some(report) => {
-                let sent = self.frames.send(report);
-                // Behind a report there is the longest silence on the air.
-                sent | self.tell(config)
-            }
-            None => angles.is_some_and(|angles| {
+        let passed_on = if let Some(due) = due
+            && let Some(mut report) = self.solver.report(config, due)
+        {
+            let sent = self.frames.send(&mut report);
+            // Behind a report there is the longest silence on the air.
+            sent | self.tell(config)
+        } else {
+            angles.is_some_and(|angles| {
                 self.frames.put(|frame, header| {
                     frame::emit_angles_into(frame, header, &angles);
                 })
-            }),
+            })
         };
         Done { passed_on, more: self.sightings.oldest().is_some() || self.is_free_to_tell() }
     }
@@ -313,10 +328,10 @@ impl<B: Board> Solve<B> {
     fn seal_what_is_due(&mut self, config: &Config) -> Option<bool> {
         match core::mem::take(&mut self.due) {
             Due::Nothing => None,
-            Due::Report(report) => {
+            Due::Report(mut report) => {
                 self.due = Due::Health;
                 self.frames.waits = self.solver.takes_turns(config);
-                Some(self.frames.send(report))
+                Some(self.frames.send(&mut report))
             }
             Due::Health => Some(self.tell(config)),
         }
@@ -424,14 +439,14 @@ impl<B: Board> Frames<B> {
         true
     }
 
-    /// Makes a frame of a report, as [`Self::put`].
+    /// Makes a frame of a report, as [`Self::put`], with what was lost outside of the chain.
     #[inline(never)]
-    fn send(&mut self, mut report: Report) -> bool {
+    fn send(&mut self, report: &mut Report) -> bool {
         let losses = &mut report.losses;
         losses.edges = losses.edges.wrapping_add(B::edges_lost());
         losses.sweeps = losses.sweeps.wrapping_add(LOST.load(Ordering::Relaxed));
         losses.reports = self.lost();
-        self.put(|frame, header| frame::emit_into(frame, header, &report))
+        self.put(|frame, header| frame::emit_into(frame, header, report))
     }
 }
 

@@ -171,7 +171,7 @@ impl Player {
         self.ears.hear(&self.config.ootx, &sighting, |station, block| {
             frames[station as usize].push((now, *block));
         });
-        let _ = self.solver.step(&self.config, sighting);
+        let _ = self.solver.step(&self.config, &sighting);
         match sighting.seen {
             Seen::Sweep(sweep) => {
                 let at = now.saturating_add_signed(i64::from(sweep.at.offset_from(Ticks(now as u32))));

@@ -197,7 +197,8 @@ impl Classifier {
         if sweep::expire(&mut self.sweep, now).is_some() {
             return lost(&self.sweep, self.flashes.take());
         }
-        late(&mut self.sweep, now, self.flashes.take())
+        // Where no slot has ended, its flashes are yet to be told of.
+        if self.sweep.has_closed() { late(&mut self.sweep, now, self.flashes.take()) } else { None }
     }
 
     /// How often each kind of light was understood.

@@ -1,7 +1,9 @@
 //! Edges to what the mote tells of the light: real stations' frames through the whole path, its health, its batches.
 
 use sim::world::ootx::{Info, frame};
+use sim::world::path::Path;
 use sim::world::rotor::Rotor;
+use sim::world::{Scene, World};
 
 use crate::angle;
 use crate::chain::{Batch, Chain, Classifier, Config, Ears, Estimate, Seen, Solver};
@@ -97,6 +99,28 @@ fn the_frames_of_a_recorded_tracker_come_through_the_whole_path() {
     assert_eq!(usize::from(heard.health.stations[1].good), blocks.len());
     // A ninth of its flashes is missing; one frame comes whole all the same, and nothing that it never said.
     assert!(heard.blocks[0].windows(2).all(|two| two[0] == two[1]));
+}
+
+#[test]
+fn looking_for_darkness_costs_no_flash_of_the_slot_that_has_begun() {
+    let mut scene = Scene { path: Path::Still { at_m: [0.5, 1.0, 0.7] }, length_s: 8.0, ..Scene::default() };
+    (scene.receiver.sync_dropout, scene.receiver.sweep_dropout) = (0.0, 0.0);
+    scene.interference.rate_per_s = 0.0;
+    let config = config(Estimate::Track);
+    let (mut chain, mut now) = (Chain::default(), Ticks(0));
+    for change in World::new(&scene, 1).edges() {
+        now = Ticks(change.cycle as u32);
+        if change.level {
+            let _ = chain.step(&config, Edge::rise(now));
+        } else {
+            let _ = chain.step(&config, Edge::fall(now));
+            // Not once a second but behind every flash and every sweep.
+            let _ = chain.expire(&config, now.after(Span(1)));
+        }
+    }
+    // The search, up to 3 s until a frame begins, and 3 s of frame.
+    let stations = chain.health(&config, now).stations;
+    assert!(stations.iter().all(|station| station.good >= 1 && station.bad == 0), "{stations:?}");
 }
 
 /// Without the pulses from `from` to `to` seconds that `hidden` chooses.

@@ -46,12 +46,16 @@ pub(crate) fn scum3c(calib: &Path, mote: &str) -> Result<Vec<u8>> {
     read(&build("scum3c", calib, mote)?)
 }
 
+/// The lines that a mote of several in a room is built with: who numbers motes has several, and they have to take turns.
+pub(crate) fn among_others(calib: &Path) -> Result<String> {
+    Ok(format!("send = \"{}\"", room(calib)?.mote.among_others().name()))
+}
+
 /// Puts what it builds onto chips.
 pub(crate) fn flash(arguments: &flash::Arguments) -> Result<()> {
-    // Who numbers motes has several, and they have to take turns.
     let mote = |calib: &Path| -> Result<String> {
         let one = arguments.id.is_none() && arguments.ids.is_none();
-        Ok(if one { String::new() } else { format!("send = \"{}\"", room(calib)?.mote.among_others().name()) })
+        if one { Ok(String::new()) } else { among_others(calib) }
     };
     let workshop = Workshop {
         root: root(),

@@ -102,6 +102,9 @@ pub struct Config {
     /// While the sweeps of one rotor were refused so many times in a row the level is not [`Level::Full`]. A sweep that
     /// is believed although its plane lies 2.5 cm from the estimate leaves as much doubt.
     pub doubtful: u16,
+    /// Above this speed the level is not [`Level::Full`], Q8 m/s, squared: who turns there is elsewhere before the gate
+    /// can tell.
+    pub quick: i32,
     /// A station counts as seen for this long after a sweep of it was believed.
     pub fresh: u32,
     /// The track ends when the variances of the three axes sum up to more than this, Q32 m^2; at most 0.3^2.
@@ -126,6 +129,7 @@ impl Config {
         lost_after: 48 * PER_HALF_TURN,
         doubt_count: 8,
         doubtful: 2,
+        quick: (0.9 * 0.9 * Q16) as i32,
         fresh: 24 * PER_HALF_TURN,
         variance_limit: (0.3 * 0.3 * Q32) as i32,
         sd_limit: (0.15 * Q16) as i32,
@@ -212,7 +216,7 @@ pub enum Level {
     None,
     /// Light, but no position.
     Angles,
-    /// A position carried over a gap, or seen by one station only.
+    /// A position carried over a gap, seen by one station only, or in quick motion.
     Tracked,
     /// A position seen by both stations lately.
     Full,
@@ -414,6 +418,7 @@ pub fn report(config: &Config, state: &State, elapsed: u32) -> Track {
         Level::Angles
     } else if state.watch.iter().all(|watch| since(watch.seen) <= config.fresh)
         && state.watch.iter().flat_map(|watch| &watch.refused).all(|refused| *refused < config.doubtful)
+        && velocity.iter().map(|speed| (speed >> 8).wrapping_mul(speed >> 8)).fold(0, i32::wrapping_add) <= config.quick
     {
         Level::Full
     } else {

@@ -11,7 +11,8 @@
 //! Cycles by the Cortex-M0's table, entry and return not counted: rise 33, fall 59, of which 8 and 10 until the stamp.
 //!
 //! What can go wrong: a pulse shorter than the rise handler ends late (its fall waits for the handler to return); the
-//! queue is full (the whole pulse is dropped and both its edges counted). Whoever masks one of the two lines, or all
+//! queue is full (the whole pulse is dropped and both its edges counted, and what comes until all that waits is done is not
+//! even seen). Whoever masks one of the two lines, or all
 //! interrupts, delays a stamp: nothing in this binary does outside start-up. In particular RTIC's `lock` and `spawn`
 //! do, so neither is used.
 
@@ -27,6 +28,8 @@ use crate::pac::{Interrupt, nvic};
 const RISE: u32 = Interrupt::GPIO8.bit();
 /// The line that is active in the dark.
 const FALL: u32 = Interrupt::GPIO9.bit();
+/// Pended to have [`look_again`] called.
+const AGAIN: u32 = Interrupt::SOFT15.bit();
 /// Both: to be left alone by everyone else.
 pub const EDGES: u32 = RISE | FALL;
 
@@ -63,10 +66,20 @@ fn waiting(written: u32, read: u32) -> u32 {
     written.wrapping_sub(read) % (2 * LEN as u32)
 }
 
-/// Counts the two edges of a pulse.
+/// Counts the two edges of a pulse, and looks away until there is nothing left to do: [`look_again`].
+///
+/// Light that storms would otherwise leave the processor to these two handlers and what reads their queue.
 #[cold]
 fn lose() {
+    nvic::ICER.write(RISE);
+    nvic::ISPR.write(AGAIN);
     QUEUE.lost.store(lost().wrapping_add(2), Ordering::Relaxed);
+}
+
+/// Everything that was waiting has been done: waits for light again. Where there is light already, its pulse is cut short.
+pub fn look_again() {
+    nvic::ICPR.write(RISE);
+    nvic::ISER.write(RISE);
 }
 
 /// Edges dropped so far, wrapping.

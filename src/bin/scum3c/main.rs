@@ -1,6 +1,6 @@
 //! The lighthouse mote on the SCuM-3C: light edges in, position frames out.
 //!
-//! Every task is a hardware task. The lines that are wired to nothing (4, 5, 10) are pended instead of spawning
+//! Every task is a hardware task. The lines that are wired to nothing (4, 5, 10, 15) are pended instead of spawning
 //! software tasks: a spawn turns all interrupts off for a moment, and a moment is what an edge's stamp is made of.
 //!
 //! | priority | task | line | does |
@@ -10,6 +10,7 @@
 //! | 3 | `classify`, `second` | 4, 10 | pulses to sightings |
 //! | 2 | `radio`, `alarm` | 6, 7 | frames onto the air |
 //! | 1 | `solve` | 5 | sightings to frames |
+//! | 1 | `look_again` | 15 | lets the light in again after a storm |
 //! | 0 | `idle` | | carries the log, writes what was tuned, sleeps |
 //!
 //! What can go wrong: each module says its own. That unwired lines can be pended is how an M0's NVIC works; it has not
@@ -153,6 +154,12 @@ mod app {
     fn solve(cx: solve::Context) {
         let done = cx.local.solve.run(&CONFIG);
         done.wake(|| rtic::pend(Interrupt::RF), || rtic::pend(Interrupt::SOFT5));
+    }
+
+    /// Of two that are pended at one priority, the lower line's comes first.
+    #[task(binds = SOFT15, priority = 1)]
+    fn look_again(_: look_again::Context) {
+        capture::look_again();
     }
 
     #[task(binds = RF, priority = 2, shared = [radio])]

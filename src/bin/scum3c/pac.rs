@@ -147,6 +147,8 @@ pub mod nvic {
     pub const ISER: Reg<0xe000_e100> = Reg(());
     /// Writing ones disables lines.
     pub const ICER: Reg<0xe000_e180> = Reg(());
+    /// Writing ones pends.
+    pub const ISPR: Reg<0xe000_e200> = Reg(());
     /// Writing ones takes back what is pending.
     pub const ICPR: Reg<0xe000_e280> = Reg(());
 }

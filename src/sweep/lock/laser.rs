@@ -121,16 +121,17 @@ impl Lock {
         false
     }
 
-    /// Keeps the better of two until the slot ends: the clearly longer one, else the one nearer to the expected.
+    /// Keeps the better of two until the slot ends: the clearly longer one, else the one nearer to the expected, or, where
+    /// nothing is expected, the longer one.
     #[cold]
     #[inline(never)]
     fn hold(&mut self, counts: &mut Rejects, at: Ticks, after: u32, width: u32) {
         if self.held != 0 {
             counts.turn_away(Cause::Second);
             let expected = self.rotors[self.slot as usize & 3].after;
-            let is_alike = width.abs_diff(self.held) <= self.held / 4;
+            let is_alike = expected != 0 && width.abs_diff(self.held) <= self.held / 4;
             let is_better = if is_alike {
-                expected != 0 && after.abs_diff(expected) < self.held_after.abs_diff(expected)
+                after.abs_diff(expected) < self.held_after.abs_diff(expected)
             } else {
                 width > self.held
             };

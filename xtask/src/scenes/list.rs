@@ -7,6 +7,7 @@
 //! pauses are therefore no multiple of the 33.3 ms cycle.
 
 use sim::world::Scene;
+use sim::world::path::Path;
 use sim::world::receiver::{Line, LineFault, Mirror, Strobe};
 use sim::world::station::{Hides, Moved, Occlusion, Station};
 
@@ -20,7 +21,7 @@ const PHASES: u32 = 64;
 const SETTLED_S: f64 = 3.0;
 /// What the mote's health is to name, one of these, where no good fix can come for seconds. A health frame comes once a
 /// second, so shorter gaps have none to themselves.
-const REASONS: [(&str, &[Reason]); 14] = [
+const REASONS: [(&str, &[Reason]); 16] = [
     ("occlusion-a-10s", &[Reason::ADark, Reason::OneStation]),
     ("occlusion-b-10s", &[Reason::BDark, Reason::OneStation]),
     ("occlusion-both-1s", &[Reason::NoLight]),
@@ -29,6 +30,8 @@ const REASONS: [(&str, &[Reason]); 14] = [
     ("stuck-high-10s", &[Reason::NoLight]),
     ("stuck-low-1s", &[Reason::NoLight]),
     ("stuck-low-10s", &[Reason::NoLight]),
+    ("storm-10khz-10s", &[Reason::Widths, Reason::Spacing]),
+    ("storm-100khz-10s", &[Reason::Widths, Reason::Spacing, Reason::V2]),
     // Rays that miss each other, too far for a track to begin or for a fix at all, or that meet outside the room.
     ("swapped", &[Reason::Mismatch, Reason::Geometry, Reason::Disbelieved]),
     // Until their numbers are heard, as where nobody knows them.
@@ -40,6 +43,8 @@ const REASONS: [(&str, &[Reason]); 14] = [
 ];
 /// Walks of most scenes.
 const WALKS: u64 = 5;
+/// Walks of a scene that does harm once in some of them.
+const MANY_WALKS: u64 = 20;
 /// The first flash where the timer is set before it, seconds: bring-up is over.
 const LATE_FIRST_SYNC_S: f64 = 0.05;
 
@@ -83,12 +88,17 @@ struct List<'a> {
 impl List<'_> {
     /// One on several walks.
     fn walks(&mut self, name: &str, what: &str, length_s: f64, change: impl Fn(&mut Take)) {
+        self.many_walks(WALKS, name, what, length_s, change);
+    }
+
+    /// One whose harm is rare.
+    fn many_walks(&mut self, walks: u64, name: &str, what: &str, length_s: f64, change: impl Fn(&mut Take)) {
         let changed = |seed| {
             let mut take = take(self.room, length_s, seed);
             change(&mut take);
             take
         };
-        let takes = (1..=WALKS).map(changed).collect();
+        let takes = (1..=walks).map(changed).collect();
         self.named.push(Named { name: name.to_string(), what: what.to_string(), takes });
     }
 }
@@ -111,6 +121,7 @@ fn of(room: &Scene) -> Vec<Named> {
     occlusions(&mut all);
     receivers(&mut all);
     strangers(&mut all);
+    speeds(&mut all);
     lines(&mut all);
     rooms(&mut all);
     starts(&mut all);
@@ -181,7 +192,8 @@ pub(crate) fn mirrors() -> Vec<Mirror> {
 }
 
 fn receivers(all: &mut List<'_>) {
-    all.walks(
+    all.many_walks(
+        MANY_WALKS,
         "reflections",
         "a fifth of the sweeps with a mirrored one, before or after, a quarter of those alone",
         30.0,
@@ -220,6 +232,9 @@ fn strangers(all: &mut List<'_>) {
     all.walks("remote-control", "200 pulses of 1 to 200 us a second, at random", 30.0, |take| {
         take.scene.interference.rate_per_s = 200.0;
     });
+    all.walks("remote-control-500", "500 of them a second", 30.0, |take| {
+        take.scene.interference.rate_per_s = 500.0;
+    });
     // One slides over a whole half turn of the rotors, at 120 Hz over the same flashes, within its 20 s.
     for (rate, rate_hz) in [("60hz", 60.05), ("120hz", 120.1)] {
         for (long, burst_us) in [("0.25ms", 250.0), ("1ms", 1000.0)] {
@@ -233,6 +248,17 @@ fn strangers(all: &mut List<'_>) {
     }
 }
 
+/// To and fro in a straight line: at each end the velocity turns round at once, as no hand's does.
+fn speeds(all: &mut List<'_>) {
+    let Path::HandHeld { low_m, high_m, .. } = all.room.path else { return };
+    for speed_m_per_s in [0.5, 1.0, 2.0] {
+        let what = format!("to and fro at {speed_m_per_s} m/s, turning at once");
+        all.walks(&format!("shuttle-{speed_m_per_s}mps"), &what, 30.0, |take| {
+            take.scene.path = Path::Line { from_m: low_m, to_m: high_m, speed_m_per_s };
+        });
+    }
+}
+
 fn lines(all: &mut List<'_>) {
     for (name, line, long_s) in [
         ("stuck-high-1s", Line::StuckHigh, 1.0),
@@ -240,6 +266,8 @@ fn lines(all: &mut List<'_>) {
         ("stuck-low-1s", Line::StuckLow, 1.0),
         ("stuck-low-10s", Line::StuckLow, 10.0),
         ("storm-100khz", Line::Storm { hz: 100e3 }, 0.5),
+        ("storm-10khz-10s", Line::Storm { hz: 10e3 }, 10.0),
+        ("storm-100khz-10s", Line::Storm { hz: 100e3 }, 10.0),
     ] {
         let what = format!(
             "the line {} for {long_s} s",

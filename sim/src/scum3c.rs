@@ -15,9 +15,10 @@
 //! All registers are words. The chip's own sources never access them otherwise, and its peripheral bus has no byte
 //! strobes to do it with; bytes and half-words fault.
 //!
-//! Not modelled, and therefore silent: interrupt lines other than 6, 7, 12 and 13 (the debounced GPIO3 line 1, the
-//! optical-calibration lines 2 and 11, and the ADC, UART, raw-chip and GPIO10 lines). The optical receiver reaches pads 8
-//! and 9 whatever bank the scan chain chose, but no line where their inputs are not enabled.
+//! Not modelled, and therefore silent: a scan chain that is loaded while a frame is in the air, whose chips the 2 MHz
+//! oscillator times; interrupt lines other than 6, 7, 12 and 13 (the debounced GPIO3 line 1, the optical-calibration lines 2
+//! and 11, and the ADC, UART, raw-chip and GPIO10 lines). The optical receiver reaches pads 8 and 9 whatever bank the scan
+//! chain chose, but no line where their inputs are not enabled.
 
 mod adc;
 mod analog_cfg;
@@ -43,10 +44,10 @@ pub use analog_cfg::{Clocks, Powered};
 pub use failure::Failure;
 pub use gpio::EdgeError;
 pub use oscillators::Oscillators;
-pub use refusal::{Needed, Refusal, Why};
+pub use refusal::{Needed, NeededCode, Refusal, Why};
 pub use rf_controller::SentFrame;
 pub use rftimer::Ratio;
-pub use scan_chain::NEEDED;
+pub use scan_chain::{NEEDED, NEEDED_CODES};
 
 /// Interrupt number of the radio controller (SCuM-3C test code, cm0dsasm.s:43-58, as all of these).
 pub const IRQ_RF: u32 = 6;
@@ -519,6 +520,20 @@ mod tests {
                 format!("ANALOG_CFG 22 (0x52580000): bit {bit} of the scan chain is not {}: {what}", u8::from(value));
             assert_eq!(said, [format!("cycle 7: {why}"), format!("cycle 1000: {why}")]);
         }
+    }
+
+    #[test]
+    fn a_frame_that_is_sent_too_soon_after_tuning_is_refused() {
+        let mut chip = chip();
+        switch_transmitter_on(&mut chip, 0);
+        ask_for_load(&mut chip, 9, 0);
+        answer(&mut chip);
+        put(&mut chip, acfg(7), 0x1234, 10_000);
+        put(&mut chip, RF, 2, 10_499);
+        put(&mut chip, RF, 2, 10_500);
+        chip.advance(100_000);
+        assert_eq!(chip.refusals(), [Refusal { cycle: 10_499, why: Why::NotSettled { cycles: 499 } }]);
+        assert_eq!(chip.take_frames().len(), 1);
     }
 
     #[test]

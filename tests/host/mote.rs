@@ -373,6 +373,46 @@ proptest! {
     }
 }
 
+/// Flips one bit of one of a queue's counts, as nobody but a fault does: its fields lie as they are declared.
+fn flip(queue: *mut Queue<u32, 8>, count: usize, bit: u32) {
+    // SAFETY: `written` and `read` are the first two words, atomics both, and the queue was leaked.
+    let word = unsafe { &*queue.cast::<std::sync::atomic::AtomicU32>().add(count) };
+    word.fetch_xor(1 << bit, std::sync::atomic::Ordering::Relaxed);
+}
+
+#[test]
+fn a_queue_recovers_from_any_flipped_bit_of_its_counts() {
+    for (count, bit) in (0..2).flat_map(|count| (0..32).map(move |bit| (count, bit))) {
+        for before in 0..16u32 {
+            let queue: *mut Queue<u32, 8> = Box::into_raw(Box::new(Queue::new()));
+            // SAFETY: it was leaked, and the ends are the only ones but for `flip`.
+            let (mut writer, mut reader) = unsafe { &mut *queue }.split();
+            for n in 0..before {
+                assert!(writer.push(n));
+                if n >= 5 {
+                    reader.pop();
+                }
+            }
+            flip(queue, count, bit);
+            // What was there is lost or comes again: no more than twice the length, and then it is empty.
+            for _ in 0..16 {
+                reader.pop();
+            }
+            for n in 100..200 {
+                assert!(!writer.is_full(), "bit {bit} of count {count} after {before}");
+                assert!(writer.push(n), "bit {bit} of count {count} after {before}");
+                assert_eq!(reader.oldest().copied(), Some(n), "bit {bit} of count {count} after {before}");
+                reader.pop();
+            }
+            // And the writer is told of no room exactly where there is none.
+            for n in 0..10 {
+                assert_eq!(writer.is_full(), n >= 8);
+                assert_eq!(writer.push(n), n < 8);
+            }
+        }
+    }
+}
+
 #[test]
 fn changes_become_pulses_and_what_finds_no_room_is_counted_by_edges() {
     let (mut edges, mut waiting) = Edges::split(Box::leak(Box::new(Queue::new())));

@@ -29,7 +29,7 @@ use cause::{Boot, Cause};
 use channel::Channel;
 use csma::Csma;
 use pairing::{Pairing, Sample};
-use progress::Progress;
+use progress::{Progress, STAGES};
 use psdu::{MAX_PSDU, Psdu};
 
 /// 20 symbols of 16 us (IEEE 802.15.4-2006, 7.4.1).
@@ -202,20 +202,22 @@ proptest! {
     }
 
     #[test]
-    fn the_watchdog_is_fed_only_after_every_stage_moved(moves in prop::collection::vec((any::<bool>(), any::<bool>()), 1..100)) {
+    fn the_watchdog_is_fed_only_after_every_stage_moved(
+        moves in prop::collection::vec(any::<[bool; STAGES]>(), 1..100),
+    ) {
         let mut progress = Progress::default();
-        let mut runs = [u32::MAX - 3; 2];
+        let mut runs = [u32::MAX - 3; STAGES];
         progress.all_moved(runs);
-        let mut since = [false; 2];
-        for (classify, solve) in moves {
-            for (stage, moved) in [classify, solve].into_iter().enumerate() {
+        let mut since = [false; STAGES];
+        for moves in moves {
+            for (stage, moved) in moves.into_iter().enumerate() {
                 runs[stage] = runs[stage].wrapping_add(u32::from(moved));
                 since[stage] |= moved;
             }
             let fed = progress.all_moved(runs);
-            prop_assert_eq!(fed, since == [true; 2]);
+            prop_assert_eq!(fed, since == [true; STAGES]);
             if fed {
-                since = [false; 2];
+                since = [false; STAGES];
             }
         }
     }

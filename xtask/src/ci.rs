@@ -28,10 +28,11 @@ struct Board {
     what: &'static [&'static str],
 }
 
-const BOARDS: [Board; 6] = [
+const BOARDS: [Board; 7] = [
     Board { feature: "scum3c", target: setup::CORTEX_M0, what: &["--lib", "--bins"] },
     Board { feature: "scum3c,security", target: setup::CORTEX_M0, what: &["--lib", "--bin", "scum3c"] },
     Board { feature: "nrf52840", target: setup::CORTEX_M4F, what: &["--lib", "--bin", "nrf52840"] },
+    Board { feature: "nrf52840,security", target: setup::CORTEX_M4F, what: &["--lib", "--bin", "nrf52840"] },
     Board { feature: "microbit", target: setup::CORTEX_M0, what: &["--lib", "--bin", "microbit"] },
     Board { feature: "bench", target: setup::CORTEX_M0, what: &["--bin", "bench"] },
     Board { feature: "qemu", target: setup::CORTEX_M0, what: &["--test", "*"] },

@@ -1,8 +1,9 @@
 //! A mote whose chip misbehaves: bits that flip, power that dips, lines that storm, a timer and a radio that stand still.
 //!
-//! A mote is settled in the default light once and copied for every run, so that a thousand runs take minutes. Each run
-//! has a number, and everything that happens in it is drawn from that number and the seed: `--run` plays one again and
-//! prints what the mote says.
+//! A mote lives in the default light once and is copied for every run, so that a thousand runs take minutes. Harm is
+//! done when it is settled; one in four resets and brown-outs comes before, and of those every other one while the chain
+//! of the bring-up is half written. Each run has a number, and everything that happens in it is drawn from that number and
+//! the seed: `--run` plays one again and prints what the mote says.
 //!
 //! # What comes of a run
 //! - correct: no pause, no wrong fix, no reset.
@@ -11,6 +12,7 @@
 //! - WRONG: fixes of level full that are wrong (as in the scenes), or under another's name, over more than [`WRONG_S`]
 //!   from the first to the last.
 //! - SILENT: no good fix for more than [`PAUSE_S`] though the light is there and nothing fails any more.
+//! - MISSED: what keeps every frame from the air went on beyond [`BITES_S`], and the watchdog did not start the mote again.
 //!
 //! What can go wrong: only data RAM in use is hit, variables and stack as deep as it ever was; code RAM is not. Two
 //! failures at once are not tried. Velocity and standard deviation are believed as they are.
@@ -23,6 +25,7 @@ use std::sync::{Mutex, mpsc};
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
+use lighthouse_mote::frame::secured::{KEY_LEN, Key};
 use serde_json::json;
 use sim::machine::Stop;
 use sim::world::Scene;
@@ -51,6 +54,9 @@ pub(crate) struct Arguments {
     /// Which bits, which cycles
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Of a mote whose frames are under a key
+    #[arg(long)]
+    keyed: bool,
     /// One run again, as the table calls it, with the mote's log: flip-17
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
@@ -58,13 +64,18 @@ pub(crate) struct Arguments {
 
 impl Arguments {
     /// A few of each.
-    pub(crate) const SHORT: Self = Self { flips: 40, resets: 40, failures: 8, seed: 1, run: None };
+    pub(crate) const SHORT: Self = Self { flips: 40, resets: 40, failures: 8, seed: 1, keyed: false, run: None };
 }
 
 /// Where the results go.
 const OUT: &str = "target/faults";
 /// Harm is done between these, true seconds: lock, track and the queues are settled.
 const HARM_S: [f64; 2] = [4.0, 9.0];
+/// By then the scan chain of the bring-up is written: 40,000 cycles of 10 MHz, and a little.
+const CHAIN_S: f64 = 5e-3;
+/// The watchdog has bitten by then, seconds: its third turn without a frame ends 7 s after the last one at most
+/// (`docs/scum3c.md`).
+const BITES_S: f64 = 7.5;
 /// A run goes on after the harm is over for so long, seconds: the watchdog bites within 5 s, and what is wrong after that
 /// has time to show.
 const AFTER_S: f64 = 9.0;
@@ -92,15 +103,16 @@ struct Judged {
 
 /// Does the harm, prints, judges.
 pub(crate) fn faults(arguments: &Arguments) -> Result<()> {
-    let elf = firmware::scum3c(&root().join(firmware::DEFAULT_CALIB), "")?;
+    let (elf, key) = image(arguments.keyed)?;
     let strings = Log::strings(&elf)?;
     let scene = Scene { length_s: HARM_S[1] + harm::LONGEST_S + AFTER_S + 1.0, ..Scene::default() };
-    let mut settled = Lit::boot(&elf, &scene, arguments.seed)?;
-    settled.mote.machine.forgive_faults();
+    let mut booted = Lit::boot(&elf, &scene, arguments.seed)?;
+    booted.key = key;
+    booted.mote.machine.forgive_faults();
+    let mut settled = booted.clone();
     ensure!(settled.run_to(HARM_S[0])?.is_none(), "the mote stops in clear light");
     let ours = settled.hear()?.iter().find_map(|heard| heard.header).context("the mote says nothing in clear light")?;
     let ours = (ours.pan, ours.mote);
-    settled.mote.take_log();
     let ram = Ram::of(&settled.mote)?;
     let mut harms: Vec<Harm> = Vec::new();
     for kind in Kind::ALL {
@@ -110,12 +122,19 @@ pub(crate) fn faults(arguments: &Arguments) -> Result<()> {
             Kind::BrownOut => arguments.resets - arguments.resets / 2,
             _ => arguments.failures,
         };
-        harms.extend((0..count).map(|number| Harm::draw(kind, number, arguments.seed, HARM_S, &ram)));
+        harms.extend((0..count).map(|number| {
+            let span = match kind {
+                Kind::Reset | Kind::BrownOut if number % 8 == 0 => [0.0, CHAIN_S],
+                Kind::Reset | Kind::BrownOut if number % 8 == 4 => [0.0, HARM_S[0]],
+                _ => HARM_S,
+            };
+            Harm::draw(kind, number, arguments.seed, span, &ram)
+        }));
     }
     if let Some(name) = &arguments.run {
         let harm = harms.iter().find(|harm| harm.name() == *name);
         let harm = harm.with_context(|| format!("{name} is no run of these; the table names them"))?;
-        return one(&settled, ours, harm, &ram, Log::of(strings));
+        return one(&booted, ours, harm, &ram, Log::of(strings));
     }
     println!(
         "{} runs, {} bytes of data RAM in use ({} of stack), seed {}",
@@ -126,7 +145,7 @@ pub(crate) fn faults(arguments: &Arguments) -> Result<()> {
     );
     let started = Instant::now();
     harms.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-    let judged = all(settled, ours, harms, || Log::of(strings))?;
+    let judged = all(booted, ours, harms, || Log::of(strings))?;
     let table = table(&judged);
     println!("{table}");
     let bad: Vec<&Judged> = judged.iter().filter(|run| run.outcome.is_bad()).collect();
@@ -141,11 +160,24 @@ pub(crate) fn faults(arguments: &Arguments) -> Result<()> {
     write(arguments, &judged, &ram)?;
     ensure!(
         bad.is_empty(),
-        "{} runs ended badly; `cargo xtask faults --seed {} --run NAME` plays one again",
+        "{} runs ended badly; `cargo xtask faults --seed {}{} --run NAME` plays one again",
         bad.len(),
-        arguments.seed
+        arguments.seed,
+        if arguments.keyed { " --keyed" } else { "" }
     );
     Ok(())
+}
+
+/// The firmware of the default room, and the key where it has one.
+fn image(keyed: bool) -> Result<(Vec<u8>, Option<Key>)> {
+    const KEY: [u8; KEY_LEN] = [0x5a; KEY_LEN];
+    let calib = root().join(firmware::DEFAULT_CALIB);
+    if !keyed {
+        return Ok((firmware::scum3c(&calib, "")?, None));
+    }
+    let file = tempfile::NamedTempFile::new().context("a file for a key")?;
+    std::fs::write(file.path(), "5a".repeat(KEY_LEN)).context("a key")?;
+    Ok((firmware::scum3c(&calib, &format!("key_file = {:?}", file.path()))?, Some(Key::new(&KEY))))
 }
 
 fn describe(run: &Judged, ram: &Ram) -> String {
@@ -161,13 +193,8 @@ fn describe(run: &Judged, ram: &Ram) -> String {
     )
 }
 
-/// Plays all, each from a copy of the settled mote at the moment of its harm.
-fn all(
-    mut settled: Lit,
-    ours: Address,
-    harms: Vec<Harm>,
-    log: impl Fn() -> Log<'static> + Sync,
-) -> Result<Vec<Judged>> {
+/// Plays all, each from a copy of the mote at the moment of its harm.
+fn all(mut living: Lit, ours: Address, harms: Vec<Harm>, log: impl Fn() -> Log<'static> + Sync) -> Result<Vec<Judged>> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let total = harms.len();
     let log = &log;
@@ -192,11 +219,11 @@ fn all(
         drop((done, jobs));
         let feeding = scope.spawn(move || -> Result<()> {
             for harm in harms {
-                settled.run_to(harm.at_s)?;
-                settled.hear()?;
-                settled.mote.take_log();
+                living.run_to(harm.at_s)?;
+                living.hear()?;
+                living.mote.take_log();
                 // Nobody works after an error elsewhere.
-                if work.send((harm, settled.clone())).is_err() {
+                if work.send((harm, living.clone())).is_err() {
                     break;
                 }
             }
@@ -209,15 +236,15 @@ fn all(
                 println!("{:>6} of {total}", judged.len());
             }
         }
-        feeding.join().map_err(|_| anyhow::anyhow!("the settled mote broke"))??;
+        feeding.join().map_err(|_| anyhow::anyhow!("the mote broke without harm"))??;
         judged.sort_by_key(|run: &Judged| (run.harm.kind, run.harm.number));
         Ok(judged)
     })
 }
 
 /// One run alone, with all that the mote says.
-fn one(settled: &Lit, ours: Address, harm: &Harm, ram: &Ram, log: Log<'static>) -> Result<()> {
-    let mut lit = settled.clone();
+fn one(booted: &Lit, ours: Address, harm: &Harm, ram: &Ram, log: Log<'static>) -> Result<()> {
+    let mut lit = booted.clone();
     lit.run_to(harm.at_s)?;
     lit.hear()?;
     lit.mote.take_log();
@@ -275,15 +302,15 @@ fn table(judged: &[Judged]) -> String {
         rows.entry(run.harm.kind).or_default().push(run);
     }
     let mut table = format!(
-        "{:<32} {:>5} {:>8} {:>9} {:>9} {:>6} {:>7} | {:>12} {:>13}",
-        "harm", "runs", "correct", "transient", "detected", "WRONG", "SILENT", "longest", "longest wrong"
+        "{:<32} {:>5} {:>8} {:>9} {:>9} {:>6} {:>7} {:>7} | {:>12} {:>13}",
+        "harm", "runs", "correct", "transient", "detected", "WRONG", "SILENT", "MISSED", "longest", "longest wrong"
     );
-    table += &format!("\n{:<32} {:>77}", "", "| pause, s     s");
+    table += &format!("\n{:<32} {:>85}", "", "| pause, s     s");
     for (kind, runs) in rows {
         let count = |outcome: Outcome| runs.iter().filter(|run| run.outcome == outcome).count();
         let most = |value: fn(&Seen) -> f64| runs.iter().map(|run| value(&run.seen)).fold(0.0, f64::max);
         table += &format!(
-            "\n{:<32} {:>5} {:>8} {:>9} {:>9} {:>6} {:>7} | {:>12} {:>13}",
+            "\n{:<32} {:>5} {:>8} {:>9} {:>9} {:>6} {:>7} {:>7} | {:>12} {:>13}",
             kind.to_string(),
             runs.len(),
             count(Outcome::Correct),
@@ -291,6 +318,7 @@ fn table(judged: &[Judged]) -> String {
             count(Outcome::Detected),
             count(Outcome::Wrong),
             count(Outcome::Silent),
+            count(Outcome::Missed),
             figure(most(|seen| seen.pause_s), 2),
             figure(most(|seen| seen.wrong_s), 2)
         );
@@ -316,7 +344,8 @@ fn write(arguments: &Arguments, judged: &[Judged], ram: &Ram) -> Result<()> {
         })
         .collect();
     let summary = json!({ "seed": arguments.seed, "runs": runs });
-    whole::json(&root().join(OUT).join("summary.json"), &summary)?;
-    println!("written to {OUT}: summary.json");
+    let name = if arguments.keyed { "keyed.json" } else { "summary.json" };
+    whole::json(&root().join(OUT).join(name), &summary)?;
+    println!("written to {OUT}: {name}");
     Ok(())
 }

@@ -5,6 +5,7 @@
 use std::num::NonZeroU32;
 
 use anyhow::{Context, Result};
+use lighthouse_mote::frame::secured::Key;
 use lighthouse_mote::frame::{self, Health, Level, Losses};
 use sim::mote::{Halted, Mote};
 use sim::world::{Edge, Scene, World};
@@ -57,6 +58,8 @@ pub(crate) struct Lit {
     pub(crate) world: World,
     pub(crate) mote: Mote,
     pub(crate) mote_hz: f64,
+    /// What its frames are under.
+    pub(crate) key: Option<Key>,
     /// The edge that was made and lies ahead.
     waiting: Option<Edge>,
 }
@@ -70,7 +73,7 @@ impl Lit {
         let world = World::new(scene, seed);
         let mote_hz = scene.clock.nominal_hz * (1.0 + scene.clock.error);
         let hclk = NonZeroU32::new(mote_hz.round() as u32).context("the mote's clock stands still")?;
-        Ok(Self { world, mote: Mote::boot(elf, hclk)?, mote_hz, waiting: None })
+        Ok(Self { world, mote: Mote::boot(elf, hclk)?, mote_hz, key: None, waiting: None })
     }
 
     /// Runs to a true time in seconds; says so where the mote stopped on the way.
@@ -96,7 +99,14 @@ impl Lit {
         let mut all = Vec::with_capacity(sent.len());
         for sent in sent {
             let sent_s = self.world.seconds(sent.start_cycle);
-            let (header, said) = match frame::parse(&sent.bytes) {
+            let opened = self.key.as_ref().map(|key| key.open(&sent.bytes).map(|(_, plain)| plain));
+            let bytes = match &opened {
+                None => &sent.bytes[..],
+                Some(Ok(plain)) => plain.bytes(),
+                // Not under the key.
+                Some(Err(_)) => &[],
+            };
+            let (header, said) = match frame::parse(bytes) {
                 Ok((header, frame::Message::Fix(report))) => {
                     let sighted = self.mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
                     let seconds = self.world.seconds(sighted);

@@ -100,7 +100,7 @@ enum Verb {
     ///
     /// Runs the release firmware in the virtual mote, thousands of times from one settled state. Prints one table and
     /// writes target/faults/summary.json. A wrong position reported as good for more than a second, or silence though
-    /// there is light, is an error.
+    /// there is light, or a watchdog that lets silence last, is an error.
     Faults(faults::Arguments),
     /// Put the firmware onto a chip, or onto a tray of chips: release build with the room and the id, size, programming
     ///

@@ -31,7 +31,7 @@ const CHIPS: u64 = 20;
 const TUNED_S: [f64; 2] = [6.5, 12.5];
 
 /// Bits of the scan chain without which it is no lighthouse mote.
-const NEEDED_BITS: usize = 57;
+const NEEDED_BITS: usize = 60;
 
 const ANALOG: u32 = 0x5200_0000;
 const LDO: u32 = ANALOG + 10 * 0x4_0000;

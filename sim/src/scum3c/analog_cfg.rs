@@ -53,7 +53,8 @@ const MODULATION_15_4: u16 = 0x0080;
 const MIXER_TX: u16 = 0x0006;
 /// Register 16: polyphase on, mixers on (SCuM-3C test code, radio.c).
 const MIXER_RX: u16 = 0x0001;
-/// The least time from switching the transmitter on to sending (SCuM-3C test code, radio.c: "at least ~50 us").
+/// The least time from switching the transmitter on, or tuning it, to sending (SCuM-3C test code, radio.c: "at least
+/// ~50 us"; lighthouse.c:378-411 tunes last and waits then).
 const SETTLE_US: u64 = 50;
 
 /// The HF clock is divided by two to make HCLK (SCuM-3C test code, lighthouse.c: HCLK divider 2).
@@ -314,7 +315,7 @@ impl AnalogCfg {
             return Err("ANALOG_CFG register 0 is known to take 0x0000, 0x007F and 0x3FFF only");
         }
         self.count(cycle);
-        self.written[index] = value;
+        let before = std::mem::replace(&mut self.written[index], value);
         match index {
             COUNTERS if value == COUNTERS_RESET => self.counts = Counts::default(),
             LDO | MIXER => {
@@ -322,7 +323,15 @@ impl AnalogCfg {
                 self.transmitter_on_since = on(self.transmitter_powered(), self.transmitter_on_since);
                 self.receiver_on_since = on(self.receiver_powered(), self.receiver_on_since);
             }
-            LC_LOW | LC_HIGH => self.retune(),
+            LC_LOW | LC_HIGH => {
+                self.retune();
+                // An oscillator that goes elsewhere has to settle there.
+                if value != before {
+                    for since in [&mut self.transmitter_on_since, &mut self.receiver_on_since] {
+                        *since = since.map(|_| cycle);
+                    }
+                }
+            }
             SCAN if self.scan.write(value) => {
                 self.reclock();
                 self.retune();
@@ -437,6 +446,27 @@ mod tests {
         put(&mut analog, LDO, 0x00, 10_700);
         put(&mut analog, LDO, 0x28, 10_800);
         assert_eq!(analog.ready_to_send(10_900), Err(Why::NotSettled { cycles: 100 }));
+    }
+
+    #[test]
+    fn the_radio_is_ready_50_us_after_it_is_tuned() {
+        let mut analog = analog();
+        put(&mut analog, MODULATION, 0x80, 0);
+        put(&mut analog, LC_LOW, 0x1234, 0);
+        put(&mut analog, LDO, 0x28, 0);
+        put(&mut analog, MIXER, 0x6, 0);
+        // As it was: nothing has to settle.
+        put(&mut analog, LC_LOW, 0x1234, 1_000);
+        assert_eq!(analog.ready_to_send(1_000), Ok(()));
+        for (register, cycle) in [(LC_LOW, 2_000), (LC_HIGH, 3_000)] {
+            put(&mut analog, register, 1, cycle);
+            assert_eq!(analog.ready_to_send(cycle + 499), Err(Why::NotSettled { cycles: 499 }));
+            assert_eq!(analog.ready_to_send(cycle + 500), Ok(()));
+        }
+        put(&mut analog, LDO, 0x18, 10_000);
+        put(&mut analog, MIXER, 0x1, 10_000);
+        put(&mut analog, LC_LOW, 2, 20_000);
+        assert_eq!(analog.ready_to_receive(20_000), Err(Why::NotSettled { cycles: 0 }));
     }
 
     #[test]

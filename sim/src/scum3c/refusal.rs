@@ -16,6 +16,19 @@ pub struct Needed {
     pub what: &'static str,
 }
 
+/// A code that has to be so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NeededCode {
+    /// The numbers of its bits, the lowest first.
+    pub bits: &'static [u16],
+    /// Those of the code's bits that mean the opposite.
+    pub inverted: u32,
+    /// Its value.
+    pub value: u32,
+    /// What it does.
+    pub what: &'static str,
+}
+
 /// Something the radio was told to do and would not have done on silicon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Refusal {
@@ -44,7 +57,7 @@ pub enum Why {
     },
     /// The scan chain was never loaded.
     NotConfigured,
-    /// The scan chain was loaded with too few or too many bits shifted in, so that all of them stand elsewhere.
+    /// The scan chain was loaded with too few bits shifted in, so that all of them stand elsewhere.
     ScanLength {
         /// How many there were.
         bits: u32,
@@ -53,6 +66,13 @@ pub enum Why {
     ScanBit {
         /// The bit and what it should be.
         needed: Needed,
+    },
+    /// The scan chain was loaded with a supply or a current that is not as the lighthouse set-up needs it.
+    ScanCode {
+        /// The code and what it should be.
+        needed: NeededCode,
+        /// What it is.
+        is: u32,
     },
     /// RX_START while ANALOG_CFG 10 does not have LO and IF on under software control (0x18, or 0x58 with the divider).
     NoReceiver {
@@ -80,7 +100,7 @@ pub enum Why {
     },
     /// ANALOG_CFG 11 does not have the 802.15.4 chips modulate the transmitter (0x80).
     NotModulated,
-    /// Less than 50 us since the transmitter was switched on.
+    /// Less than 50 us since the transmitter was switched on or tuned.
     NotSettled {
         /// How long it had, in core cycles.
         cycles: u64,
@@ -110,7 +130,9 @@ impl Why {
             Self::WrongLdos { .. } | Self::NoReceiver { .. } | Self::CutOff => "ANALOG_CFG 10 (0x52280000)",
             Self::NotModulated => "ANALOG_CFG 11 (0x522c0000)",
             Self::WrongMixers { .. } | Self::ReceiverOff { .. } => "ANALOG_CFG 16 (0x52400000)",
-            Self::NotConfigured | Self::ScanLength { .. } | Self::ScanBit { .. } => "ANALOG_CFG 22 (0x52580000)",
+            Self::NotConfigured | Self::ScanLength { .. } | Self::ScanBit { .. } | Self::ScanCode { .. } => {
+                "ANALOG_CFG 22 (0x52580000)"
+            }
         }
     }
 }
@@ -137,6 +159,9 @@ impl fmt::Display for Why {
             Self::ScanBit { needed: Needed { bit, value, what } } => {
                 write!(f, "bit {bit} of the scan chain is not {}: {what}", u8::from(*value))
             }
+            Self::ScanCode { needed: NeededCode { value, what, .. }, is } => {
+                write!(f, "a code of the scan chain is {is}, not {value}: {what}")
+            }
             Self::NoReceiver { ldo } => write!(f, "{ldo:#x}, not 0x18: LO and IF are not on"),
             Self::ReceiverOff { mixer } => write!(f, "{mixer:#x}, not 0x1: mixers and polyphase are not on"),
             Self::Sending => write!(f, "a frame is in the air"),
@@ -145,7 +170,7 @@ impl fmt::Display for Why {
             Self::WrongMixers { mixer } => write!(f, "ANALOG_CFG 16 is {mixer:#x}, not 0x6: the mixers are not off"),
             Self::NotModulated => write!(f, "ANALOG_CFG 11 has not selected the 802.15.4 modulation (0x80)"),
             Self::NotSettled { cycles } => {
-                write!(f, "a start {cycles} cycles after switching on; 50 us are needed")
+                write!(f, "a start {cycles} cycles after switching on or tuning; 50 us are needed")
             }
             Self::CutOff => write!(f, "the transmitter was switched off in the middle of a frame"),
             Self::Retuned => write!(f, "the LC tank was retuned in the middle of a frame"),

@@ -341,7 +341,8 @@ impl RfController {
 fn error_bit(why: Why) -> u32 {
     match why {
         Why::BadLength { .. } | Why::NotInRam { .. } => TX_OVERFLOW,
-        Why::ScanLength { .. } | Why::ScanBit { .. } | Why::NoReceiver { .. } | Why::ReceiverOff { .. } => 0,
+        Why::ScanLength { .. } | Why::ScanBit { .. } | Why::ScanCode { .. } => 0,
+        Why::NoReceiver { .. } | Why::ReceiverOff { .. } => 0,
         _ => TX_CUTOFF,
     }
 }

@@ -5,9 +5,10 @@
 //! is wrong is said; a mote whose chain is wrong can neither see nor send.
 //!
 //! What can go wrong: a bit that the public sources set and nobody documents may be needed or not. Needed is here what
-//! `lighthouse.c:24-200` sets or clears by number; the codes of supplies and oscillators are the firmware's to choose.
+//! `lighthouse.c:24-200` sets or clears by number and the supplies and currents that it chooses; the codes of the
+//! oscillators are the firmware's to choose.
 
-use super::refusal::{Needed, Why};
+use super::refusal::{Needed, NeededCode, Why};
 
 /// The scan chain's length.
 pub(super) const BITS: usize = 1216;
@@ -78,6 +79,10 @@ pub const NEEDED: &[Needed] = &{
         one(1003, "the modulation's tones are 1 MHz apart"),
         zero(964, "the core controls the local oscillator"),
         zero(1081, "the core controls the divider"),
+        // radio_init_rx_MF_lighthouse: who switches the mixers, in phase and in quadrature, and the polyphase filter.
+        one(744, "the mixers obey ANALOG_CFG 16"),
+        one(745, "the mixers obey ANALOG_CFG 16"),
+        one(746, "the polyphase filter obeys ANALOG_CFG 16"),
         // GPI_enables, GPO_enables, :284-321; enables of outputs are active low.
         one(INPUT_8, "pad 8 is read"),
         one(INPUT_9, "pad 9 is read"),
@@ -93,6 +98,43 @@ pub const NEEDED: &[Needed] = &{
         zero(248, "pads 0 to 3 carry the optical receiver's output"),
     ]
 };
+/// The codes that the lighthouse set-up chooses (lighthouse.c:57-59, 144-200), where scm3c_hw_interface.c puts them.
+pub const NEEDED_CODES: &[NeededCode] = &[
+    // :510, the two highest bits inverted.
+    NeededCode {
+        bits: &[797, 796, 795, 794, 793, 792, 791],
+        inverted: 0b110_0000,
+        value: 63,
+        what: "the core's supply",
+    },
+    // :557, likewise; the highest bit is a later chip's, elsewhere.
+    NeededCode {
+        bits: &[929, 928, 927, 926, 925, 924, 557],
+        inverted: 0b110_0000,
+        value: 120,
+        what: "the always-on supply",
+    },
+    // :1568, the upper half at the end of word 30, the lower at the beginning of word 31.
+    NeededCode {
+        bits: &[995, 994, 993, 992, 991, 990, 989, 988],
+        inverted: 0,
+        value: 100,
+        what: "the radio's oscillator's current",
+    },
+    // :1591 and :1598, seven bits of word 30 each, from 2^13 and from 2^5 on.
+    NeededCode {
+        bits: &[978, 977, 976, 975, 974, 973, 972],
+        inverted: 0b111_1111,
+        value: 63,
+        what: "the power amplifier's supply",
+    },
+    NeededCode {
+        bits: &[986, 985, 984, 983, 982, 981, 980],
+        inverted: 0b111_1111,
+        value: 64,
+        what: "the radio's oscillator's supply",
+    },
+];
 const INPUT_8: u16 = 1116;
 const INPUT_9: u16 = 1118;
 
@@ -210,12 +252,19 @@ impl ScanChain {
             }
         }
         self.wrong.clear();
-        if self.shifted as usize != BITS {
+        // More fall out at its end, as those of one that was broken off.
+        if (self.shifted as usize) < BITS {
             self.wrong.push(Why::ScanLength { bits: self.shifted });
         }
         self.shifted = 0;
         let wrong = NEEDED.iter().filter(|needed| self.loaded.bit(needed.bit.into()) != needed.value);
         self.wrong.extend(wrong.map(|&needed| Why::ScanBit { needed }));
+        for &needed in NEEDED_CODES {
+            let is = self.loaded.code(needed.bits.iter().map(|bit| usize::from(*bit)), needed.inverted);
+            if is != needed.value {
+                self.wrong.push(Why::ScanCode { needed, is });
+            }
+        }
     }
 }
 
@@ -227,8 +276,11 @@ pub(super) mod tests {
     /// A chain with what is needed and nothing else.
     pub(in super::super) fn needed() -> [u32; WORDS] {
         let mut words = [0; WORDS];
-        for needed in NEEDED.iter().filter(|needed| needed.value) {
-            words[usize::from(needed.bit) / 32] |= 0x8000_0000 >> (needed.bit % 32);
+        let mut set = |bit: u16| words[usize::from(bit) / 32] |= 0x8000_0000 >> (bit % 32);
+        NEEDED.iter().filter(|needed| needed.value).for_each(|needed| set(needed.bit));
+        for NeededCode { bits, inverted, value, .. } in NEEDED_CODES {
+            let ones = (0..bits.len()).filter(|n| (value ^ inverted) >> n & 1 != 0);
+            ones.for_each(|n| set(bits[n]));
         }
         words
     }
@@ -268,12 +320,46 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_chain_that_is_too_short_or_too_long_is_refused() {
+    fn every_needed_code_with_a_wrong_bit_is_named_with_what_it_is() {
+        for &needed in NEEDED_CODES {
+            for (n, &bit) in needed.bits.iter().enumerate() {
+                let mut words = self::needed();
+                words[usize::from(bit) / 32] ^= 0x8000_0000 >> (bit % 32);
+                assert_eq!(loaded(writes(&words)).wrong(), [Why::ScanCode { needed, is: needed.value ^ 1 << n }]);
+            }
+        }
+    }
+
+    /// Word 30 as scm3c_hw_interface.c:1568-1600 makes it, word 31 likewise.
+    #[test]
+    fn the_transmitters_codes_are_read_where_the_test_code_packs_them() {
+        let (current, amplifier, oscillator) = (100u32, 63u32, 64u32);
+        let mut words = self::needed();
+        words[30] &= !(0xF | 0xFE000 | 0xFE0);
+        words[30] |= current >> 4 | (!amplifier & 0x7F) << 13 | (!oscillator & 0x7F) << 5;
+        words[31] = words[31] & 0x0FFF_FFFF | (current & 0xF) << 28;
+        assert_eq!(words, self::needed());
+    }
+
+    #[test]
+    fn a_chain_that_is_too_short_is_refused() {
         let whole = writes(&needed());
         let short = loaded(whole[5..].iter().copied());
         assert_eq!(short.wrong()[0], Why::ScanLength { bits: 1215 });
-        let long = loaded(whole[..5].iter().chain(&whole).copied());
-        assert_eq!(long.wrong(), [Why::ScanLength { bits: 1217 }]);
+    }
+
+    #[test]
+    fn what_was_half_written_before_falls_out_at_the_end() {
+        let whole = writes(&needed());
+        // Broken off within a bit: its half is written over.
+        for half in [5, 500, 502, 503, 504, 3000] {
+            let again = loaded(whole[..half].iter().chain(&whole).copied());
+            assert_eq!(again.wrong(), [], "{half}");
+        }
+        // One bit too many at the end, and every bit stands one further.
+        let (bits, load) = whole.split_at(whole.len() - 2);
+        let long = loaded(bits.iter().chain(&bits[..5]).chain(load).copied());
+        assert!(long.wrong().len() > 10, "{:?}", long.wrong());
     }
 
     #[test]

@@ -85,7 +85,7 @@ impl<T: Copy, const N: usize> Writer<T, N> {
 
     /// Whether there is no room.
     pub fn is_full(&self) -> bool {
-        self.0.written.load(Ordering::Relaxed).wrapping_sub(self.0.read.load(Ordering::Relaxed)) >= N as u32
+        self.0.waiting() >= N as u32
     }
 
     /// Appends `entry`; false where there is no room for it.

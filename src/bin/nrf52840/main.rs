@@ -177,7 +177,7 @@ mod app {
         if rung.is(Alarm::Second) {
             clock::arm(Alarm::Second, SECOND);
             cx.local.watchdog.feed_if_all_moved();
-            // The second has both stages run, in the dark too.
+            // The second has every stage run, in the dark too.
             rtic::pend(Interrupt::EGU1_SWI1);
         }
         if rung.is(Alarm::Gate) {

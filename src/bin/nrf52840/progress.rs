@@ -1,13 +1,13 @@
 //! When the watchdog may be fed: only after every stage has finished a run since the last time.
 //!
-//! A timer that feeds by itself proves that a timer works. Here each stage counts the runs it came back from, and food
-//! takes one more of each.
+//! A timer that feeds by itself proves that a timer works. Here classifier and solver count the runs that they came back
+//! from, the radio the frames that it is done with, and food takes one more of each.
 //!
 //! What can go wrong: a stage that hangs, that is never scheduled, or that something above it starves. All three look
 //! the same from here, and all three end in a reset. A stage that runs and computes nonsense does not.
 
-/// The stages that have to move: classify and solve.
-pub const STAGES: usize = 2;
+/// The stages that have to move: classify, solve and radio.
+pub const STAGES: usize = 3;
 
 /// Where every stage stood when food was last given.
 #[derive(Debug, Clone, Default)]

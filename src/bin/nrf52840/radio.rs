@@ -14,7 +14,8 @@
 //!
 //! What can go wrong: the channel is busy five times (`csma`), or the radio does not come to its end in
 //! [`PATIENCE`]. It is then switched off and on, which resets all its registers (PS 6.20, POWER). Either way the
-//! frame is given up and counted.
+//! frame is given up and counted. An alarm that never comes (a bit of [`State`] has flipped) leaves it waiting for ever:
+//! the watchdog sees that no frame gets done with.
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 
@@ -29,6 +30,7 @@ use crate::csma::Csma;
 use crate::mote::queue::Reader;
 use crate::mote::stages::FRAMES;
 use crate::psdu::{MAX_PSDU, Psdu};
+use crate::watchdog::{self, Stage};
 
 /// Both ramps are at most 0.14 ms each, assessment 0.128 ms (PS 6.20.15.8, 6.20.12.4), and the longest frame is 133
 /// bytes of 32 us, 4.3 ms.
@@ -134,7 +136,7 @@ impl Radio {
     fn tried(&mut self) {
         clock::disarm(Alarm::Radio);
         if RADIO.events_phyend().read() != 0 {
-            self.state = State::Off;
+            self.done();
         } else if let Some(us) = self.csma.again() {
             self.wait(us);
         } else {
@@ -144,7 +146,13 @@ impl Radio {
 
     fn give_up(&mut self) {
         LOST.store(LOST.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        self.done();
+    }
+
+    /// Is done with a frame.
+    fn done(&mut self) {
         self.state = State::Off;
+        watchdog::moved(Stage::Radio);
     }
 }
 

@@ -20,9 +20,9 @@ const SHORTEST_S: f64 = 0.05;
 pub(super) enum Kind {
     /// One bit of data RAM.
     Flip,
-    /// The core and the devices start again, memory as it was.
+    /// The core starts again, memory as it was; the devices too, or as they are, which of the two is not documented.
     Reset,
-    /// The same, and data RAM is noise.
+    /// Core and devices start again, and data RAM is noise.
     BrownOut,
     /// One interrupt line is active all the time.
     Storm,
@@ -161,6 +161,7 @@ impl Harm {
     pub(super) fn what(&self, ram: &Ram) -> String {
         match self.kind {
             Kind::Flip => format!("bit {} at {:#010x}, {}", self.bit, self.address, ram.name(self.address)),
+            Kind::Reset if self.number / 8 % 2 == 1 => "reset of the core alone".to_string(),
             Kind::Reset | Kind::BrownOut => self.kind.to_string(),
             Kind::Storm => format!("line {} for {:.2} s", self.line, self.long_s),
             Kind::StormOfAll | Kind::Timer | Kind::Radio => format!("{} for {:.2} s", self.kind, self.long_s),
@@ -178,6 +179,7 @@ impl Harm {
                 let byte = mote.machine.read_bytes(self.address, 1).map_or(0, |bytes| bytes[0]);
                 mote.machine.write_bytes(self.address, &[byte ^ 1 << self.bit]);
             }
+            Kind::Reset if self.number / 8 % 2 == 1 => mote.machine.reset(),
             Kind::Reset => mote.restart(),
             Kind::BrownOut => {
                 let mut noise = ChaCha8Rng::seed_from_u64(self.noise);

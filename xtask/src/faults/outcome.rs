@@ -3,7 +3,7 @@
 use lighthouse_mote::frame::Reset;
 
 use super::harm::{Harm, Kind};
-use super::{Address, BACK_S, PAUSE_S, WRONG_S};
+use super::{Address, BACK_S, BITES_S, PAUSE_S, WRONG_S};
 use crate::lit::{Heard, Said};
 use crate::log::is_start;
 
@@ -88,6 +88,7 @@ pub(super) enum Outcome {
     Detected,
     Wrong,
     Silent,
+    Missed,
 }
 
 impl std::fmt::Display for Outcome {
@@ -98,6 +99,7 @@ impl std::fmt::Display for Outcome {
             Self::Detected => "detected",
             Self::Wrong => "WRONG",
             Self::Silent => "SILENT",
+            Self::Missed => "MISSED",
         })
     }
 }
@@ -106,10 +108,15 @@ impl Outcome {
     pub(super) fn of(harm: &Harm, seen: &Seen) -> Self {
         let said = seen.starts > 0 && seen.cause.is_some_and(|cause| cause != Reset::PowerOn);
         let harmed = matches!(harm.kind, Kind::Reset | Kind::BrownOut);
+        // No frame leaves while one of these lasts.
+        let bites = matches!(harm.kind, Kind::StormOfAll | Kind::Timer | Kind::Radio) && harm.long_s > BITES_S;
+        let bitten = seen.starts > 0 && seen.cause == Some(Reset::Watchdog);
         if seen.wrong_s > WRONG_S {
             Self::Wrong
         } else if seen.dead || seen.pause_s > if harmed { BACK_S } else { PAUSE_S } {
             Self::Silent
+        } else if bites && !bitten {
+            Self::Missed
         } else if said {
             Self::Detected
         } else if seen.wrong > 0 || seen.pause_s > USUAL_S || (seen.starts > 0 && !harmed) {
@@ -121,7 +128,7 @@ impl Outcome {
 
     /// What must not be.
     pub(super) fn is_bad(self) -> bool {
-        matches!(self, Self::Wrong | Self::Silent)
+        matches!(self, Self::Wrong | Self::Silent | Self::Missed)
     }
 }
 
@@ -142,5 +149,27 @@ mod tests {
         assert_eq!(Outcome::of(&flip, &Seen { wrong: 9, wrong_s: 1.1, ..seen.clone() }), Outcome::Wrong);
         let again = Seen { starts: 1, cause: Some(Reset::Watchdog), pause_s: 5.0, ..seen };
         assert_eq!(Outcome::of(&flip, &again), Outcome::Detected);
+    }
+
+    fn lasting(kind: Kind, long_s: f64) -> Harm {
+        let mut harm = Harm::draw(kind, 0, 1, [4.0, 9.0], &Ram::some());
+        harm.long_s = long_s;
+        harm
+    }
+
+    #[test]
+    fn what_keeps_every_frame_from_the_air_for_long_has_to_be_ended_by_the_watchdog() {
+        let seen = Seen { pause_s: 2.0, ..Seen::since(5.0, (1, 2)) };
+        let by = |cause| Seen { starts: 1, cause: Some(cause), ..seen.clone() };
+        for kind in [Kind::StormOfAll, Kind::Timer, Kind::Radio] {
+            let lasts = |long_s| lasting(kind, long_s);
+            assert_eq!(Outcome::of(&lasts(7.0), &seen), Outcome::Transient);
+            assert_eq!(Outcome::of(&lasts(8.0), &seen), Outcome::Missed);
+            assert_eq!(Outcome::of(&lasts(8.0), &by(Reset::Fault)), Outcome::Missed);
+            assert_eq!(Outcome::of(&lasts(8.0), &by(Reset::Watchdog)), Outcome::Detected);
+            assert!(Outcome::Missed.is_bad());
+        }
+        // One line is one of many that the mote stands.
+        assert_eq!(Outcome::of(&lasting(Kind::Storm, 9.0), &seen), Outcome::Transient);
     }
 }

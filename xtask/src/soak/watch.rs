@@ -202,6 +202,8 @@ impl Life {
         };
         must(self.starts == 1, format!("the mote started {} times", self.starts));
         must(self.missing == 0, format!("{} frames never came", self.missing));
+        // They have no number, so none is missing.
+        must(self.reports_lost == 0, format!("{} frames found no room or were given up", self.reports_lost));
         must(self.other_frames + self.garbled == 0, "frames of another kind, or that cannot be read".to_string());
         must(self.uptime_back == 0, format!("uptime went back {} times", self.uptime_back));
         // Two health frames may wait in the queue while a scene keeps the solver from its work, not more.
@@ -454,6 +456,7 @@ mod tests {
         assert!(well.broken().is_empty());
         assert_eq!(Life { starts: 2, ..well.clone() }.broken().len(), 1);
         assert_eq!(Life { missing: 1, ..well.clone() }.broken().len(), 1);
+        assert_eq!(Life { reports_lost: 1, ..well.clone() }.broken().len(), 1);
         let broken = |scene: &str, good: u64, at_s: &[f64]| {
             let mut wrong = Wrong::default();
             at_s.iter().for_each(|at_s| wrong.at(*at_s));

@@ -1,6 +1,6 @@
 //! A mote whose chip misbehaves: bits that flip, power that dips, lines that storm, a timer and a radio that stand still.
 //!
-//! A mote is settled in the default light once and copied for every run, so that a thousand runs take minutes. Each run
+//! A mote is settled in clear light once and copied for every run, so that a thousand runs take minutes. Each run
 //! has a number, and everything that happens in it is drawn from that number and the seed: `--run` plays one again and
 //! prints what the mote says.
 //!
@@ -12,6 +12,9 @@
 //!   from the first to the last.
 //! - SILENT: no good fix for more than [`PAUSE_S`] though the light is there and nothing fails any more.
 //!
+//! The default room's light, or that of the room that is named. In a room with a key a fix counts where a listener with the
+//! key believes it; after a brown-out, which wipes the frames' counter out, that listener knows of none.
+//!
 //! What can go wrong: only data RAM in use is hit, variables and stack as deep as it ever was; code RAM is not. Two
 //! failures at once are not tried. Velocity and standard deviation are believed as they are.
 
@@ -19,6 +22,7 @@ mod harm;
 mod outcome;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::{Mutex, mpsc};
 use std::time::Instant;
 
@@ -33,6 +37,7 @@ use crate::firmware;
 use crate::lit::Lit;
 use crate::log::Log;
 use crate::process::root;
+use crate::room::Room;
 use harm::{Harm, Kind, Ram};
 use outcome::{Outcome, Seen};
 
@@ -54,11 +59,14 @@ pub(crate) struct Arguments {
     /// One run again, as the table calls it, with the mote's log: flip-17
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
+    /// The room to do it in
+    #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
+    calib: Option<PathBuf>,
 }
 
 impl Arguments {
     /// A few of each.
-    pub(crate) const SHORT: Self = Self { flips: 40, resets: 40, failures: 8, seed: 1, run: None };
+    pub(crate) const SHORT: Self = Self { flips: 40, resets: 40, failures: 8, seed: 1, run: None, calib: None };
 }
 
 /// Where the results go.
@@ -92,10 +100,13 @@ struct Judged {
 
 /// Does the harm, prints, judges.
 pub(crate) fn faults(arguments: &Arguments) -> Result<()> {
-    let elf = firmware::scum3c(&root().join(firmware::DEFAULT_CALIB), "")?;
+    let room = Room::open(arguments.calib.as_deref())?;
+    room.ensure_tells_places()?;
+    room.ensure_lit()?;
+    let elf = firmware::scum3c(&room.file, "")?;
     let strings = Log::strings(&elf)?;
-    let scene = Scene { length_s: HARM_S[1] + harm::LONGEST_S + AFTER_S + 1.0, ..Scene::default() };
-    let mut settled = Lit::boot(&elf, &scene, arguments.seed)?;
+    let scene = Scene { length_s: HARM_S[1] + harm::LONGEST_S + AFTER_S + 1.0, ..room.light.clone() };
+    let mut settled = Lit::boot(&elf, &scene, arguments.seed)?.heard_with(room.key);
     settled.mote.machine.forgive_faults();
     ensure!(settled.run_to(HARM_S[0])?.is_none(), "the mote stops in clear light");
     let ours = settled.hear()?.iter().find_map(|heard| heard.header).context("the mote says nothing in clear light")?;

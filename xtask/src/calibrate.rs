@@ -19,7 +19,6 @@ mod gather;
 pub mod judgement;
 pub mod lateness;
 pub mod live;
-mod motive;
 pub mod points;
 pub mod report;
 pub mod room;

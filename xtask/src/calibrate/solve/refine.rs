@@ -11,8 +11,8 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::Attitude;
 use super::model::{Fitted, PER_STATION, TERMS, V3, add, cross, dot, median};
+use super::observation::Attitude;
 use super::path::{Path, attitude};
 
 /// All numbers that can be fitted: two stations, the clocks' offset, the lever arm.

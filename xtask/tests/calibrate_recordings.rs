@@ -1,9 +1,13 @@
 //! Recordings of real light, from `cargo xtask calibrate` to the firmware in the virtual mote: as exact as was asked for.
 
-use std::path::{Path, PathBuf};
+#[path = "calibrate/recordings.rs"]
+mod recordings;
+
+use std::path::Path;
 use std::process::Command;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use recordings::{recording, shown};
 use serde_json::Value;
 
 /// Images are built one after another: each replaces the one before.
@@ -11,19 +15,6 @@ static BUILDING: Mutex<()> = Mutex::new(());
 
 fn building() -> MutexGuard<'static, ()> {
     BUILDING.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// The recording of this name, if it is on this computer.
-fn recording(name: &str) -> Option<PathBuf> {
-    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(name);
-    if !dir.is_dir() {
-        eprintln!("skipped: {} is not there", dir.display());
-    }
-    dir.is_dir().then_some(dir)
-}
-
-fn shown(path: &Path) -> &str {
-    path.to_str().expect("a plain path")
 }
 
 /// What a person types, and what is printed.

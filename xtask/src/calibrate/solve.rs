@@ -32,7 +32,7 @@ use rand_chacha::rand_core::SeedableRng;
 
 pub use crate::calib::schema::Rotor;
 pub use crate::reference::Pose as Station;
-pub use check::LATEST_S;
+pub use check::{LATEST_S, MOST_DRIFT};
 pub use observation::{Attitude, Sighting, TruthSample};
 pub use solution::{HeldOut, Residual, RotorFit, Solution};
 pub use trouble::Trouble;
@@ -181,6 +181,13 @@ pub fn solve(
             1000.0 * fit.offset_sd
         ));
     }
+    if free.drift {
+        evidence.push(format!(
+            "That is so in the middle of the walk: the truth's clock gains {:.0} ppm on the rotors, known to {:.0} ppm.",
+            1e6 * fit.guess.drift,
+            1e6 * fit.drift_sd
+        ));
+    }
     check::stations(&path, &poses, options)?;
     progress("done", 1.0);
     Ok(solution::of(Data { points: &points, ..known }, &fit, free, held_out, evidence))
@@ -204,7 +211,8 @@ fn place(points: &[Point], path: &Path, offset_s: f64, options: &Options, random
         }
         Some(found)
     };
-    Some(Guess { stations: [station(0)?, station(1)?], offset_s, lever: [0.0; 3] })
+    let middle_s = points.first().zip(points.last()).map_or(0.0, |(first, last)| 0.5 * (first.at_s + last.at_s));
+    Some(Guess { stations: [station(0)?, station(1)?], offset_s, middle_s, drift: 0.0, lever: [0.0; 3] })
 }
 
 fn left_over(data: &Data<'_>, guess: &Guess) -> f64 {

@@ -39,6 +39,8 @@ const OFFSET_SD_S: f64 = 0.005;
 const EXPLAINED: f64 = std::f64::consts::PI / 180.0;
 /// A truth on the mote's own clock is no later than this, seconds: motion capture, network and radio take 10 to 30 ms.
 pub const LATEST_S: f64 = 0.1;
+/// No two clocks differ by more: crystals do by 100 ppm, and a log that takes a mote's oscillator for steady by some 500.
+pub const MOST_DRIFT: f64 = 1e-3;
 /// At least this share of either station's sightings must be.
 pub(super) const EXPLAINED_SHARE: f64 = 0.7;
 /// Truth is a mirror image when that leaves less than this much of the residuals.

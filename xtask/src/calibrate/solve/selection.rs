@@ -2,6 +2,7 @@
 //!
 //! What can go wrong: a recording too short to hold blocks of it out; its scatter says so.
 
+use super::check::MOST_DRIFT;
 use super::held_out::judge;
 use super::model::TERMS;
 use super::refine::{Data, Fit, Free, TUKEY};
@@ -10,6 +11,10 @@ use super::{Choice, Options};
 
 /// Terms stay when sweeps that were left out become more predictable by this share.
 const WORTH: f64 = 0.01;
+/// A drift is looked at from so many of its own standard deviations on.
+const DRIFT_SIGMAS: f64 = 5.0;
+/// Rounds of the fit that finds it.
+const ROUNDS: usize = 8;
 
 /// What is fitted besides the poses, and how good that is on what was left out.
 pub(super) fn choose(
@@ -58,6 +63,15 @@ pub(super) fn choose(
                     break;
                 }
             }
+        }
+    }
+    if options.late || chosen.offset {
+        progress("holding blocks out", 0.7);
+        let wider = Free { offset: true, drift: true, ..chosen };
+        let fit = data.fit(poses.guess, wider, ROUNDS);
+        // Blocks of time share their errors, so a drift that is not many of its deviations is none.
+        if (DRIFT_SIGMAS * fit.drift_sd..=MOST_DRIFT).contains(&fit.guess.drift.abs()) {
+            weigh("Offset and drift of the truth's clock", wider, Choice::Auto, &mut chosen, &mut held_out);
         }
     }
     if options.fit_lever_arm != Choice::Never && !options.attitudes.is_empty() {

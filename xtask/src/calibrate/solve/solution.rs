@@ -13,8 +13,12 @@ use crate::reference::Pose as Station;
 pub struct Solution {
     /// A, then B.
     pub stations: [Station; 2],
-    /// The truth's clock less the mote's, seconds; with one clock, by how much the truth is late.
+    /// The truth's clock less the mote's in the middle of the walk, seconds; with one clock, by how much the truth is late.
     pub offset_s: f64,
+    /// When that is, seconds of the mote's clock.
+    pub middle_s: f64,
+    /// By how much it grows, seconds per second; none where that was not fitted.
+    pub drift: Option<f64>,
     /// From what the truth tracks to the photodiode, in the body's axes, metres; none where it was not fitted.
     pub lever_arm: Option<Vector3<f64>>,
     /// Why each term was fitted or left alone, a sentence each.
@@ -112,6 +116,8 @@ pub(super) fn of(data: Data<'_>, fit: &Fit, free: Free, held_out: HeldOut, evide
     Solution {
         stations: fit.guess.stations.each_ref().map(Fitted::pose),
         offset_s: fit.guess.offset_s,
+        middle_s: fit.guess.middle_s,
+        drift: free.drift.then_some(fit.guess.drift),
         lever_arm: free.lever.then(|| fit.guess.lever.into()),
         evidence,
         residuals,

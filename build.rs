@@ -134,7 +134,7 @@ fn link() {
     }
     let root = env::var("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR for every build script");
     for board in BOARDS {
-        if env::var_os(format!("CARGO_FEATURE_{}", board.feature.to_uppercase())).is_none() {
+        if env::var_os(format!("CARGO_FEATURE_{}", board.feature.to_uppercase().replace('-', "_"))).is_none() {
             continue;
         }
         let kind = match board.unit {

@@ -13,17 +13,15 @@ mod whole;
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use sim::core::cycles::Multiplier;
-use sim::world::Scene;
-use xtask::calib::Calibration;
-use xtask::trust;
 
-use crate::firmware;
 use crate::process::root;
+use crate::room::Room;
+use crate::{expected, firmware};
 use judge::Counted;
 use stages::{Cost, STAGES};
 pub(crate) use whole::readable;
@@ -47,8 +45,6 @@ pub(crate) struct Arguments {
 const EXPECTED: &str = "tests/expected/bench.txt";
 /// Where the results go.
 const OUT: &str = "target/bench";
-/// How far light reaches in other rooms than the default one, m: anywhere.
-const REACH_M: f64 = 100.0;
 /// Light of the whole firmware's runs, seconds: as long as from one reading of what the stations say to the next.
 const LIGHT_S: f64 = 124.0;
 /// Of that, looked at one instruction at a time.
@@ -112,27 +108,6 @@ const BUDGETS: [Budget; 11] = [
     },
 ];
 
-/// Where it is counted.
-struct Room {
-    calibration: Calibration,
-    light: Scene,
-    is_other: bool,
-    /// Its frames are secured.
-    key: Option<[u8; 16]>,
-}
-
-impl Room {
-    fn open(calib: &Path) -> Result<Self> {
-        let calibration = firmware::room(calib)?;
-        let (mut light, key) = (firmware::other_light(calib, &calibration)?, trust::key_of(&calibration)?);
-        if let Some(light) = &mut light {
-            // It is asked what light costs, not how far it reaches.
-            light.optics.reach_m = REACH_M;
-        }
-        Ok(Self { calibration, is_other: light.is_some(), light: light.unwrap_or_default(), key })
-    }
-}
-
 /// Everything that was counted.
 struct Counts {
     costs: BTreeMap<&'static str, Cost>,
@@ -151,14 +126,13 @@ impl Arguments {
 
 /// Counts, prints, compares.
 pub(crate) fn bench(arguments: &Arguments) -> Result<()> {
-    let calib = arguments.calib.clone().unwrap_or_else(|| root().join(firmware::DEFAULT_CALIB));
-    let room = Room::open(&calib)?;
-    if room.is_other && arguments.bless {
-        bail!("{}: what is expected is of {}, and of no other room", calib.display(), firmware::DEFAULT_CALIB);
+    let room = Room::open(arguments.calib.as_deref())?.lit_anywhere();
+    if arguments.bless {
+        room.ensure_expected()?;
     }
-    let program = firmware::build("bench", &calib, "")?;
+    let program = firmware::build("bench", &room.file, "")?;
     let elf = std::fs::read(&program).with_context(|| program.display().to_string())?;
-    let counts = count(&calib, &room, &elf)?;
+    let counts = count(&room, &elf)?;
     let judged = judge::judge(&program, &elf)?;
     let figures = counts.figures();
 
@@ -174,37 +148,29 @@ pub(crate) fn bench(arguments: &Arguments) -> Result<()> {
     if !disagreement.is_empty() {
         bail!("the two do not count alike: {}", disagreement.join("; "));
     }
-    if room.is_other {
-        println!("another room than {}: not held against {EXPECTED}", firmware::DEFAULT_CALIB);
+    if let Some(why) = room.unlike_expected() {
+        println!("{why}: not held against {EXPECTED}");
         return Ok(());
     }
-    let expected = root().join(EXPECTED);
     if arguments.bless {
-        if let Some(folder) = expected.parent() {
-            std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-        }
-        std::fs::write(&expected, lines(&figures)).with_context(|| EXPECTED.to_string())?;
-        println!("blessed: {EXPECTED}");
-        return Ok(());
+        return expected::bless(EXPECTED, &lines(&figures));
     }
-    let known = std::fs::read_to_string(&expected)
-        .with_context(|| format!("{EXPECTED}; `cargo xtask bench --bless` writes it"))?;
-    compare(&known, &figures)
+    compare(&expected::known(EXPECTED, "bench")?, &figures)
 }
 
-/// The deepest stack of the SCuM-3C's firmware in a while of full light at 5 MHz.
-pub(crate) fn deepest_stack(elf: &[u8]) -> Result<u32> {
+/// The deepest stack of the SCuM-3C's firmware in a while of full light of its room at 5 MHz.
+pub(crate) fn deepest_stack(elf: &[u8], room: &Room) -> Result<u32> {
     let run =
         Run { hclk_hz: 5_000_000, multiplier: Multiplier::Fast, full_light: true, seconds: STACK_S, profile: false };
-    Ok(whole::run(elf, &Scene::default(), None, &run)?.stack)
+    Ok(whole::run(elf, &room.light, room.key, &run)?.stack)
 }
 
 /// Counts everything that our own machine can count.
-fn count(calib: &Path, room: &Room, bench: &[u8]) -> Result<Counts> {
+fn count(room: &Room, bench: &[u8]) -> Result<Counts> {
     let costs = stages::measure(bench, room)?;
-    let slotted = firmware::scum3c(calib, &firmware::among_others(calib)?)?;
+    let slotted = firmware::scum3c(&room.file, &firmware::among_others(&room.file)?)?;
     // Last, so that it stays where it was built.
-    let elf = firmware::scum3c(calib, "")?;
+    let elf = firmware::scum3c(&room.file, "")?;
     let full =
         Run { hclk_hz: 5_000_000, multiplier: Multiplier::Fast, full_light: true, seconds: LIGHT_S, profile: false };
     let run = |run: &Run| whole::run(&elf, &room.light, room.key, run);
@@ -522,8 +488,8 @@ mod tests {
         let calib = root().join(firmware::DEFAULT_CALIB);
         let program = firmware::build("bench", &calib, "").expect("the bench program builds");
         let elf = std::fs::read(program).expect("it was built");
-        let room = Room::open(&calib).expect("it can be baked");
-        let figures = count(&calib, &room, &elf).expect("the firmware runs").figures();
+        let room = Room::open(Some(&calib)).expect("it can be baked").lit_anywhere();
+        let figures = count(&room, &elf).expect("the firmware runs").figures();
         for Budget { figure: name, most, until_met, what } in &BUDGETS {
             let is = figure(&figures, name);
             let may_be = until_met.unwrap_or(*most);

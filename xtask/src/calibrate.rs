@@ -19,7 +19,6 @@ mod gather;
 pub mod judgement;
 pub mod lateness;
 pub mod live;
-mod motive;
 pub mod points;
 pub mod report;
 pub mod room;
@@ -202,7 +201,8 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
         "held_out_mm": 1000.0 * figures.held_out_m,
         "sweeps": figures.rotors.iter().map(|rotor| rotor.paired).sum::<usize>(),
         "condition": figures.condition,
-        "truth_late_ms": account::late_s(&gathered, &solution).map(|late_s| 1000.0 * late_s),
+        "truth_late_ms": account::late(&gathered, &solution).map(|late| 1000.0 * late.late_s),
+        "truth_drift_ppm": solution.drift.map(|drift| 1e6 * drift),
         "verdict": judgement.sentence,
     });
     whole::json(&page.with_extension("json"), &summary)?;

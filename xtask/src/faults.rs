@@ -1,9 +1,9 @@
 //! A mote whose chip misbehaves: bits that flip, power that dips, lines that storm, a timer and a radio that stand still.
 //!
-//! A mote lives in the default light once and is copied for every run, so that a thousand runs take minutes. Harm is
-//! done when it is settled; one in four resets and brown-outs comes before, and of those every other one while the chain
-//! of the bring-up is half written. Each run has a number, and everything that happens in it is drawn from that number and
-//! the seed: `--run` plays one again and prints what the mote says.
+//! A mote lives in clear light once and is copied for every run, so that a thousand runs take minutes. Harm is done when it is
+//! settled; one in four resets and brown-outs comes before, and of those every other one while the chain of the bring-up is
+//! half written. Each run has a number, and everything that happens in it is drawn from that number and the seed: `--run`
+//! plays one again and prints what the mote says.
 //!
 //! # What comes of a run
 //! - correct: no pause, no wrong fix, no reset.
@@ -14,6 +14,9 @@
 //! - SILENT: no good fix for more than [`PAUSE_S`] though the light is there and nothing fails any more.
 //! - MISSED: what keeps every frame from the air went on beyond [`BITES_S`], and the watchdog did not start the mote again.
 //!
+//! The default room's light, or that of the room that is named. In a room with a key a fix counts where a listener with the
+//! key believes it; after a brown-out, which wipes the frames' counter out, that listener knows of none.
+//!
 //! What can go wrong: only data RAM in use is hit, variables and stack as deep as it ever was; code RAM is not. Two
 //! failures at once are not tried. Velocity and standard deviation are believed as they are.
 
@@ -21,11 +24,11 @@ mod harm;
 mod outcome;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::{Mutex, mpsc};
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use lighthouse_mote::frame::secured::{KEY_LEN, Key};
 use serde_json::json;
 use sim::machine::Stop;
 use sim::world::Scene;
@@ -36,6 +39,7 @@ use crate::firmware;
 use crate::lit::Lit;
 use crate::log::Log;
 use crate::process::root;
+use crate::room::Room;
 use harm::{Harm, Kind, Ram};
 use outcome::{Outcome, Seen};
 
@@ -54,17 +58,17 @@ pub(crate) struct Arguments {
     /// Which bits, which cycles
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Of a mote whose frames are under a key
-    #[arg(long)]
-    keyed: bool,
     /// One run again, as the table calls it, with the mote's log: flip-17
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
+    /// The room to do it in
+    #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
+    calib: Option<PathBuf>,
 }
 
 impl Arguments {
     /// A few of each.
-    pub(crate) const SHORT: Self = Self { flips: 40, resets: 40, failures: 8, seed: 1, keyed: false, run: None };
+    pub(crate) const SHORT: Self = Self { flips: 40, resets: 40, failures: 8, seed: 1, run: None, calib: None };
 }
 
 /// Where the results go.
@@ -103,11 +107,13 @@ struct Judged {
 
 /// Does the harm, prints, judges.
 pub(crate) fn faults(arguments: &Arguments) -> Result<()> {
-    let (elf, key) = image(arguments.keyed)?;
+    let room = Room::open(arguments.calib.as_deref())?;
+    room.ensure_tells_places()?;
+    room.ensure_lit()?;
+    let elf = firmware::scum3c(&room.file, "")?;
     let strings = Log::strings(&elf)?;
-    let scene = Scene { length_s: HARM_S[1] + harm::LONGEST_S + AFTER_S + 1.0, ..Scene::default() };
-    let mut booted = Lit::boot(&elf, &scene, arguments.seed)?;
-    booted.key = key;
+    let scene = Scene { length_s: HARM_S[1] + harm::LONGEST_S + AFTER_S + 1.0, ..room.light.clone() };
+    let mut booted = Lit::boot(&elf, &scene, arguments.seed)?.heard_with(room.key);
     booted.mote.machine.forgive_faults();
     let mut settled = booted.clone();
     ensure!(settled.run_to(HARM_S[0])?.is_none(), "the mote stops in clear light");
@@ -160,24 +166,11 @@ pub(crate) fn faults(arguments: &Arguments) -> Result<()> {
     write(arguments, &judged, &ram)?;
     ensure!(
         bad.is_empty(),
-        "{} runs ended badly; `cargo xtask faults --seed {}{} --run NAME` plays one again",
+        "{} runs ended badly; `cargo xtask faults --seed {} --run NAME` plays one again",
         bad.len(),
-        arguments.seed,
-        if arguments.keyed { " --keyed" } else { "" }
+        arguments.seed
     );
     Ok(())
-}
-
-/// The firmware of the default room, and the key where it has one.
-fn image(keyed: bool) -> Result<(Vec<u8>, Option<Key>)> {
-    const KEY: [u8; KEY_LEN] = [0x5a; KEY_LEN];
-    let calib = root().join(firmware::DEFAULT_CALIB);
-    if !keyed {
-        return Ok((firmware::scum3c(&calib, "")?, None));
-    }
-    let file = tempfile::NamedTempFile::new().context("a file for a key")?;
-    std::fs::write(file.path(), "5a".repeat(KEY_LEN)).context("a key")?;
-    Ok((firmware::scum3c(&calib, &format!("key_file = {:?}", file.path()))?, Some(Key::new(&KEY))))
 }
 
 fn describe(run: &Judged, ram: &Ram) -> String {
@@ -344,8 +337,7 @@ fn write(arguments: &Arguments, judged: &[Judged], ram: &Ram) -> Result<()> {
         })
         .collect();
     let summary = json!({ "seed": arguments.seed, "runs": runs });
-    let name = if arguments.keyed { "keyed.json" } else { "summary.json" };
-    whole::json(&root().join(OUT).join(name), &summary)?;
-    println!("written to {OUT}: {name}");
+    whole::json(&root().join(OUT).join("summary.json"), &summary)?;
+    println!("written to {OUT}: summary.json");
     Ok(())
 }

@@ -8,10 +8,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, anyhow};
-use sim::world::Scene;
 use xtask::calib::{self, Calibration};
 use xtask::flash::{self, Board, Workshop};
-use xtask::listen::{self, simulate};
+use xtask::listen;
 use xtask::trust;
 
 use crate::process::{cargo, root, run, run_aside};
@@ -29,15 +28,6 @@ pub(crate) fn room(calib: &Path) -> Result<Calibration> {
     calibration.mote = calibration.mote.with(MOTE, &env::var(MOTE).unwrap_or_default())?;
     calib::firmware::bake(&calib.display().to_string(), &calibration)?;
     Ok(calibration)
-}
-
-/// The light of the room in `calib`, if it is not the default one's, whose light is [`Scene::default`].
-pub(crate) fn other_light(calib: &Path, calibration: &Calibration) -> Result<Option<Scene>> {
-    let place = |path: &Path| path.canonicalize().with_context(|| path.display().to_string());
-    if place(calib)? == place(&root().join(DEFAULT_CALIB))? {
-        return Ok(None);
-    }
-    simulate::scene(&calib.display().to_string(), calibration).map(Some)
 }
 
 /// Builds the SCuM-3C image for the room in `calib`, with the lines of `mote`, then those of the environment, in place of

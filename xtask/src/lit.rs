@@ -5,12 +5,12 @@
 use std::num::NonZeroU32;
 
 use anyhow::{Context, Result};
-use lighthouse_mote::frame::secured::Key;
 use lighthouse_mote::frame::{self, Health, Level, Losses};
 use sim::mote::{Halted, Mote};
 use sim::world::{Edge, Scene, World};
 use xtask::pcap;
 use xtask::score::FixRow;
+use xtask::trust::{Guard, Refusal};
 
 /// A fix with what the mote said about it.
 #[derive(Debug, Clone)]
@@ -31,7 +31,7 @@ pub(crate) enum Said {
     Health(Box<Health>),
     /// A frame of another kind.
     Other,
-    /// What cannot be read.
+    /// What cannot be read, or not be believed.
     Garbled,
 }
 
@@ -58,10 +58,11 @@ pub(crate) struct Lit {
     pub(crate) world: World,
     pub(crate) mote: Mote,
     pub(crate) mote_hz: f64,
-    /// What its frames are under.
-    pub(crate) key: Option<Key>,
     /// The edge that was made and lies ahead.
     waiting: Option<Edge>,
+    /// Who hears it, and the room's key.
+    guard: Guard,
+    key: Option<[u8; 16]>,
 }
 
 /// Light is handed over by so many cycles early: an instruction that has begun is finished, and an edge may fall into it.
@@ -73,7 +74,18 @@ impl Lit {
         let world = World::new(scene, seed);
         let mote_hz = scene.clock.nominal_hz * (1.0 + scene.clock.error);
         let hclk = NonZeroU32::new(mote_hz.round() as u32).context("the mote's clock stands still")?;
-        Ok(Self { world, mote: Mote::boot(elf, hclk)?, mote_hz, key: None, waiting: None })
+        Ok(Self { world, mote: Mote::boot(elf, hclk)?, mote_hz, waiting: None, guard: Guard::new(None), key: None })
+    }
+
+    /// The same in a room with this key: who hears it believes what was sealed with it, once.
+    pub(crate) fn heard_with(mut self, key: Option<[u8; 16]>) -> Self {
+        (self.guard, self.key) = (Guard::new(key), key);
+        self
+    }
+
+    /// Who hears it knows of no frame that was sealed before.
+    pub(crate) fn forget_counters(&mut self) {
+        self.guard = Guard::new(self.key);
     }
 
     /// Runs to a true time in seconds; says so where the mote stopped on the way.
@@ -99,14 +111,7 @@ impl Lit {
         let mut all = Vec::with_capacity(sent.len());
         for sent in sent {
             let sent_s = self.world.seconds(sent.start_cycle);
-            let opened = self.key.as_ref().map(|key| key.open(&sent.bytes).map(|(_, plain)| plain));
-            let bytes = match &opened {
-                None => &sent.bytes[..],
-                Some(Ok(plain)) => plain.bytes(),
-                // Not under the key.
-                Some(Err(_)) => &[],
-            };
-            let (header, said) = match frame::parse(bytes) {
+            let (header, said) = match self.guard.open(&sent.bytes) {
                 Ok((header, frame::Message::Fix(report))) => {
                     let sighted = self.mote.cycle_of(report.time).context("the mote's timer cannot be read")?;
                     let seconds = self.world.seconds(sighted);
@@ -117,7 +122,7 @@ impl Lit {
                 }
                 Ok((header, frame::Message::Health(health))) => (Some(header), Said::Health(Box::new(health))),
                 Ok((header, _)) => (Some(header), Said::Other),
-                Err(frame::Reject::Kind) => (None, Said::Other),
+                Err(Refusal::NotOurs(frame::Reject::Kind) | Refusal::Unsecured | Refusal::NoKey) => (None, Said::Other),
                 Err(_) => (None, Said::Garbled),
             };
             all.push(Heard { sent_s, header, said, bytes: sent.bytes });

@@ -1,5 +1,8 @@
 //! What each board's image takes of its memories, and the deepest that its stack can ever be.
 //!
+//! Another room than `calib/default.toml`, or a room with a key, has its own images, which are weighed and whose stacks have
+//! to fit; nothing is expected of their sizes.
+//!
 //! What can go wrong: a stack that may be deeper than there is room for it, or that was seen deeper than it is said it
 //! could be: errors. Something that has grown since `tests/expected/memory.txt` was written: an error which names it;
 //! where it is meant, `--bless` writes the file anew.
@@ -9,14 +12,15 @@ mod thumb;
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use object::read::elf::ElfFile32;
 use object::{LittleEndian, Object, ObjectSection, ObjectSymbol, SymbolKind};
 
 use crate::process::{root, run};
-use crate::{bench, firmware, setup};
+use crate::room::Room;
+use crate::{bench, expected, firmware, setup};
 use stack::Bound;
 use xtask::whole;
 
@@ -26,11 +30,14 @@ pub(crate) struct Arguments {
     /// Take what is found now for what is expected from now on
     #[arg(long)]
     bless: bool,
+    /// The room that is baked in; what it takes is then not held against what is expected of calib/default.toml
+    #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
+    calib: Option<PathBuf>,
 }
 
 impl Arguments {
     /// As when nobody says anything.
-    pub(crate) const PLAIN: Self = Self { bless: false };
+    pub(crate) const PLAIN: Self = Self { bless: false, calib: None };
 }
 
 /// What is expected, from the root of the repository.
@@ -70,12 +77,12 @@ struct Taken {
     tables: u32,
     /// Variables.
     ram: u32,
-    /// The deepest stack.
-    stack: u32,
+    /// The deepest stack, where it is bounded.
+    stack: Option<u32>,
 }
 
 impl Taken {
-    fn of(elf: &[u8], stack: u32) -> Result<Self> {
+    fn of(elf: &[u8], stack: Option<u32>) -> Result<Self> {
         let file = ElfFile32::<LittleEndian>::parse(elf).context("not an ELF file")?;
         let size = |names: &[&str]| {
             let sections = names.iter().filter_map(|name| file.section_by_name(name));
@@ -101,15 +108,20 @@ impl Taken {
         })
     }
 
-    fn figures(&self) -> [(&'static str, u32); 5] {
+    fn figures(&self) -> impl Iterator<Item = (&'static str, u32)> + use<> {
         let Self { text, rodata, tables, ram, stack } = *self;
-        [("text", text), ("rodata", rodata), ("tables", tables), ("ram", ram), ("stack", stack)]
+        let sizes = [("text", text), ("rodata", rodata), ("tables", tables), ("ram", ram)];
+        sizes.into_iter().chain(stack.map(|bytes| ("stack", bytes)))
     }
 }
 
 /// Builds every board, prints, checks.
 pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
-    let calib = root().join(firmware::DEFAULT_CALIB);
+    let room = Room::open(arguments.calib.as_deref())?.lit_anywhere();
+    if arguments.bless {
+        room.ensure_expected()?;
+    }
+    let calib = &room.file;
     let mut figures = Vec::new();
     let mut keyed = BTreeMap::new();
     let mut report = String::new();
@@ -119,37 +131,38 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
     let with_key = format!("key_file = {:?}", key_file.path());
     for board in &BOARDS {
         // Where frames are sealed the stack is another one. First, so that the usual image is what is left behind.
-        let sealing = if board.seals {
-            let elf = image(board, &calib, &with_key)?;
+        let sealing = if board.seals && room.key.is_none() {
+            let elf = image(board, calib, &with_key)?;
             let bound = bound(board, &elf)?;
             let name = format!("{} with a key", board.name);
             writeln!(report, "{name}: stack at most {} of {}", bound.bytes(), bound.space)?;
             if bound.bytes() > bound.space {
                 wrong.push(format!("{name}: a stack of {} bytes in room for {}", bound.bytes(), bound.space));
             }
-            Some(Taken::of(&elf, bound.bytes())?)
+            Some(Taken::of(&elf, Some(bound.bytes()))?)
         } else {
             if board.has_key {
                 image(board, &calib, &with_key)?;
             }
             None
         };
-        let elf = image(board, &calib, "")?;
-        let bound = bound(board, &elf)?;
-        let taken = Taken::of(&elf, bound.bytes())?;
+        let elf = image(board, calib, "")?;
+        let bound = if board.seals || room.key.is_none() { Some(bound(board, &elf)?) } else { None };
+        let taken = Taken::of(&elf, bound.as_ref().map(Bound::bytes))?;
         figures.extend(taken.figures().map(|(what, bytes)| (format!("{}.{what}", board.name), bytes)));
-        table(&mut report, board.name, &taken, &bound)?;
+        table(&mut report, board.name, &taken, bound.as_ref())?;
         if let Some(sealing) = sealing {
             let image = (sealing.text + sealing.rodata).saturating_sub(taken.text + taken.rodata);
             let ram = sealing.ram.saturating_sub(taken.ram);
             writeln!(report, "{:<14} {image:>6}  bytes of image more with a key, and {ram} of RAM", "")?;
             keyed.extend([(format!("{}.image", board.name), image), (format!("{}.ram", board.name), ram)]);
         }
+        let Some(bound) = bound else { continue };
         if bound.bytes() > bound.space {
             wrong.push(format!("{}: a stack of {} bytes in room for {}", board.name, bound.bytes(), bound.space));
         }
         if board.name == "scum3c" {
-            let seen = bench::deepest_stack(&elf)?;
+            let seen = bench::deepest_stack(&elf, &room)?;
             writeln!(report, "{:<14} {seen:>6}  seen in the virtual mote", "")?;
             if seen > bound.bytes() {
                 wrong.push(format!("{}: a stack of {seen} bytes was seen, {} said", board.name, bound.bytes()));
@@ -159,18 +172,19 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
     println!("\n{report}");
     let folder = root().join(OUT);
     whole::json(&folder.join("summary.json"), &figures.iter().cloned().collect::<BTreeMap<_, _>>())?;
-    whole::json(&folder.join("keyed.json"), &keyed)?;
+    if room.key.is_none() {
+        whole::json(&folder.join("keyed.json"), &keyed)?;
+    }
     ensure!(wrong.is_empty(), "{}", wrong.join("; "));
-    let expected = root().join(EXPECTED);
-    if arguments.bless {
-        let text = figures.iter().fold(String::new(), |text, (name, bytes)| text + &format!("{name} {bytes}\n"));
-        std::fs::write(&expected, text).context(EXPECTED)?;
-        println!("blessed: {EXPECTED}");
+    if let Some(why) = room.unlike_expected() {
+        println!("{why}: not held against {EXPECTED}");
         return Ok(());
     }
-    let known = std::fs::read_to_string(&expected)
-        .with_context(|| format!("{EXPECTED}; `cargo xtask memory --bless` writes it"))?;
-    compare(&known, &figures)?;
+    if arguments.bless {
+        let text = figures.iter().fold(String::new(), |text, (name, bytes)| text + &format!("{name} {bytes}\n"));
+        return expected::bless(EXPECTED, &text);
+    }
+    compare(&expected::known(EXPECTED, "memory")?, &figures)?;
     println!("as expected in {EXPECTED}");
     Ok(())
 }
@@ -188,9 +202,11 @@ fn bound(board: &Board, elf: &[u8]) -> Result<Bound> {
     stack::bound(elf, &tasks, board.has_floating_point).with_context(|| format!("the stack of {}", board.name))
 }
 
-fn table(out: &mut String, name: &str, taken: &Taken, bound: &Bound) -> std::fmt::Result {
-    let Taken { text, rodata, tables, ram, stack } = taken;
-    writeln!(out, "{name}: text {text}, rodata {rodata} ({tables} of it tables), RAM {ram}, stack at most {stack}")?;
+fn table(out: &mut String, name: &str, taken: &Taken, bound: Option<&Bound>) -> std::fmt::Result {
+    let Taken { text, rodata, tables, ram, .. } = taken;
+    write!(out, "{name}: text {text}, rodata {rodata} ({tables} of it tables), RAM {ram}, stack ")?;
+    let Some(bound) = bound else { return writeln!(out, "not bounded with a key") };
+    writeln!(out, "at most {}", bound.bytes())?;
     for layer in &bound.layers {
         writeln!(out, "{:>14} {:>6}  {}", layer.what, layer.bytes, layer.way.join(" > "))?;
     }

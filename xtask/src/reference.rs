@@ -22,7 +22,7 @@ use nalgebra::{Matrix3, Matrix4, RowVector4, Vector3};
 use crate::calib::schema::{self, Calibration, Rotor};
 use crate::light::Light;
 use crate::recording::{Axis, Recording, Row, Station};
-use crate::score::{self, Score};
+use crate::score::{self, Late, Score};
 use crate::svg::StationMark;
 
 /// The authors' half turn in ticks: degrees = ticks * 180 / 83331.3, a timer at 10.0 MHz.
@@ -166,20 +166,20 @@ impl Method {
     }
 
     /// The same rows and places, but each place is held against where the mote was when its newest angle was seen, with
-    /// a truth that is `late_s` late.
-    pub fn score_late(&self, recording: &Recording, light: &Light, late_s: f64) -> Score {
+    /// a truth that is late.
+    pub fn score_late(&self, recording: &Recording, light: &Light, late: &Late) -> Score {
         let truth = score::recorded_truth(recording, light);
         self.held_against(recording, light, |row, placed| {
-            score::place_at(&truth, placed.newest_s + late_s).unwrap_or(row.truth)
+            score::place_at(&truth, late.after(placed.newest_s)).unwrap_or(row.truth)
         })
     }
 
     /// The same, but where the mote was midway through the place's four angles: what is left is the room's error and
     /// not the motion's.
-    pub fn score_midway(&self, recording: &Recording, light: &Light, late_s: f64) -> Score {
+    pub fn score_midway(&self, recording: &Recording, light: &Light, late: &Late) -> Score {
         let truth = score::recorded_truth(recording, light);
         self.held_against(recording, light, |row, placed| {
-            score::place_at(&truth, placed.middle_s + late_s).unwrap_or(row.truth)
+            score::place_at(&truth, late.after(placed.middle_s)).unwrap_or(row.truth)
         })
     }
 
@@ -196,9 +196,10 @@ impl Method {
         Score::of_errors(scored.len(), &errors)
     }
 
-    /// How late the truth must be for the room to agree best with the sweeps that are scored, seconds; none without a
-    /// sweep. A check and nothing else: what was found on scored rows must not be used to score them.
-    pub fn lateness(&self, recording: &Recording, light: &Light) -> Option<f64> {
+    /// By how much later than `late` says the truth must be for the room to agree best with the sweeps that are scored,
+    /// seconds; none without a sweep. A check and nothing else: what was found on scored rows must not be used to score
+    /// them.
+    pub fn later(&self, recording: &Recording, light: &Light, late: &Late) -> Option<f64> {
         let truth = score::recorded_truth(recording, light);
         let rows =
             recording.rows.iter().zip(&light.rows).filter(|(row, played)| recording.scored(row) && !played.repeat);
@@ -207,9 +208,9 @@ impl Method {
                 Some((row, light.seconds(played.laser.ok()?), self.angle(row, played.half_turn)))
             })
             .collect();
-        let left = |late_s: f64| {
+        let left = |later_s: f64| {
             let of = |&(row, at_s, measured): &(&Row, f64, f64)| {
-                let place = Vector3::from(score::place_at(&truth, at_s + late_s)?);
+                let place = Vector3::from(score::place_at(&truth, late.after(at_s) + later_s)?);
                 let pose = &self.room.stations[row.kind.station as usize];
                 let c = pose.rotation * (place - pose.position);
                 let (own, other) = (c[row.kind.axis as usize], c[1 - row.kind.axis as usize]);
@@ -221,7 +222,7 @@ impl Method {
         };
         let steps = (LATEST_S / LATE_STEP_S).round() as i32;
         let tried = (-steps..=steps).map(|step| f64::from(step) * LATE_STEP_S);
-        tried.min_by(|a, b| left(*a).total_cmp(&left(*b))).filter(|late_s| left(*late_s).is_finite())
+        tried.min_by(|a, b| left(*a).total_cmp(&left(*b))).filter(|later_s| left(*later_s).is_finite())
     }
 
     fn factory(&self, row: &Row) -> Rotor {
@@ -365,6 +366,7 @@ mod tests {
     #[test]
     fn a_late_truth_costs_a_mote_that_knows_where_it_is() {
         for (name, late_s) in [("crazyflie-lh1-flight", 0.012), ("scum-take5", 0.0)] {
+            let late = Late { late_s, at_s: 50.0, drift: -0.01 * late_s };
             let Some(recording) = shared_recording(name) else {
                 return;
             };
@@ -374,11 +376,11 @@ mod tests {
             let truth = score::recorded_truth(&recording, &light);
             let knows = |played: &crate::light::PlayedRow| {
                 let laser = *played.laser.as_ref().ok()?;
-                let place = score::place_at(&truth, light.seconds(laser) + late_s)?;
+                let place = score::place_at(&truth, late.after(light.seconds(laser)))?;
                 Some(score::FixRow { seconds: light.seconds(laser), ..fix(laser, place) })
             };
             let fixes: Vec<_> = light.rows.iter().filter_map(knows).collect();
-            let late = Score::of_late_truth(&recording, &light, &fixes, late_s);
+            let late = Score::of_late_truth(&recording, &light, &fixes, &late);
             let written = Score::of_recording(&recording, &light, &fixes);
             assert!(late.mean3d_cm < 0.1, "{late:?}");
             assert_eq!(written.mean3d_cm > 0.4, late_s > 0.0, "{written:?}");

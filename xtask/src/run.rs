@@ -26,7 +26,7 @@ use xtask::output::{self, Run};
 use xtask::pcap;
 use xtask::recording::Recording;
 use xtask::reference::{Method, Room};
-use xtask::score::{self, FixRow, Place, Score};
+use xtask::score::{self, FixRow, Late, Place, Score};
 use xtask::svg::Span;
 
 use crate::firmware;
@@ -128,8 +128,8 @@ enum Source {
         next: usize,
         /// Where the mote was, at the time when it was there.
         truth: Vec<Place>,
-        /// How late the recording has that, seconds, as the room's calibration found; none where it did not.
-        late_s: Option<f64>,
+        /// How late the recording has that, as the room's calibration found; none where it did not.
+        late: Option<Late>,
     },
 }
 
@@ -184,13 +184,11 @@ fn prepare(arguments: &Arguments) -> Result<Prepared> {
     let light = Light::rebuild(&recording, &LightConfig::of(&recording))?;
     println!("{}", light.findings);
     let room = calib.display().to_string();
-    let late_s = match lateness::of(&room, &calibration, &recording)? {
-        Lateness::Found(late_s) => {
-            println!(
-                "the truth is {:.1} ms late, as {room} says, found within the calibrate window: it is taken so much later",
-                1000.0 * late_s
-            );
-            Some(late_s)
+    let late = match lateness::of(&room, &calibration, &recording)? {
+        Lateness::Found(found) => {
+            let late = found.on(&recording, &light);
+            println!("the truth is late, as {room} says, found within the calibrate window: it is taken {late}");
+            Some(late)
         }
         Lateness::OfAnother => {
             println!("{room}: its {} is of another recording or window, and is not applied", lateness::KEY);
@@ -200,10 +198,10 @@ fn prepare(arguments: &Arguments) -> Result<Prepared> {
     };
     let mut truth = score::recorded_truth(&recording, &light);
     for place in &mut truth {
-        place.0 -= late_s.unwrap_or(0.0);
+        place.0 = late.unwrap_or_default().before(place.0);
     }
     Ok(Prepared {
-        source: Source::Recording { recording: Box::new(recording), light: Box::new(light), next: 0, truth, late_s },
+        source: Source::Recording { recording: Box::new(recording), light: Box::new(light), next: 0, truth, late },
         calib,
         calibration,
     })
@@ -423,9 +421,9 @@ impl Session {
                 self.truth,
                 Vec::new(),
             ),
-            Source::Recording { recording, light, truth, late_s, .. } => {
+            Source::Recording { recording, light, truth, late, .. } => {
                 let spans = light.calibrated(recording).map(|seconds| Span { seconds, label: "calibrate".to_string() });
-                let held = Held::against(recording, light, &self.fixes, &room, *late_s)?;
+                let held = Held::against(recording, light, &self.fixes, &room, late.as_ref())?;
                 (held, truth.clone(), spans.into_iter().collect())
             }
         };
@@ -480,7 +478,7 @@ impl Held {
         light: &Light,
         fixes: &[FixRow],
         room: &Room,
-        late_s: Option<f64>,
+        late: Option<&Late>,
     ) -> Result<Self> {
         let mut methods = vec![("plain DLT in f64", Method::plain(room.clone()))];
         let authors = recording.dir.join("authors_poses.toml");
@@ -493,20 +491,22 @@ impl Held {
         let of_methods = methods.iter().map(|(name, method)| (*name, method.score(recording, light)));
         let speed = speed(&score::recorded_truth(recording, light));
         let mut more: Vec<_> = speed.map(|speed| ("speed_m_per_s".to_string(), json!(speed))).into_iter().collect();
-        let Some(late_s) = late_s else {
+        let Some(late) = late else {
             let others = of_methods.map(|(name, score)| (name.to_string(), score)).collect();
             return Ok(Self { title, score: written, others, more });
         };
-        let late = methods.iter().map(|(name, method)| (name.to_string(), method.score_late(recording, light, late_s)));
+        let of_late =
+            methods.iter().map(|(name, method)| (name.to_string(), method.score_late(recording, light, late)));
         let as_written = of_methods.map(|(name, score)| (format!("{name}, {AS_WRITTEN}"), score));
-        let others = late.chain([(AS_WRITTEN.to_string(), written)]).chain(as_written).collect();
+        let others = of_late.chain([(AS_WRITTEN.to_string(), written)]).chain(as_written).collect();
         let tenths = |late_s: f64| json!((1e4 * late_s).round() / 10.0);
-        more.push(("truth_late_ms".to_string(), tenths(late_s)));
-        let by_scored_rows = Method::plain(room.clone()).lateness(recording, light);
-        more.extend(by_scored_rows.map(|late_s| ("truth_late_ms_by_scored_rows".to_string(), tenths(late_s))));
+        more.push(("truth_late_ms".to_string(), tenths(late.late_s)));
+        more.push(("truth_drift_ppm".to_string(), json!((1e6 * late.drift).round())));
+        let later = Method::plain(room.clone()).later(recording, light, late);
+        more.extend(later.map(|s| ("truth_late_ms_by_scored_rows".to_string(), tenths(late.late_s + s))));
         Ok(Self {
-            title: format!("{title}, its truth taken {:.1} ms later", 1000.0 * late_s),
-            score: Score::of_late_truth(recording, light, fixes, late_s),
+            title: format!("{title}, its truth taken {late}"),
+            score: Score::of_late_truth(recording, light, fixes, late),
             others,
             more,
         })

@@ -27,20 +27,16 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 use defmt_decoder::Table;
 use serde_json::{Value, json};
-use sim::world::Scene;
-use xtask::calib::Calibration;
-use xtask::light::HALF_TURN_S;
-use xtask::listen::simulate;
 use xtask::output::{self, Run};
-use xtask::reference::Room;
+use xtask::reference;
 use xtask::score::{FixRow, Score};
 use xtask::svg::{Span, figure};
-use xtask::trust;
 use xtask::whole;
 
-use crate::firmware;
 use crate::log::Log;
 use crate::process::root;
+use crate::room::Room;
+use crate::{expected, firmware};
 use figures::{Figures, Promise, RECOVERY_MS};
 use list::{Named, Take};
 use play::{Played, play};
@@ -71,8 +67,6 @@ const EXPECTED: &str = "tests/expected/scenes.txt";
 /// Where the results go.
 const OUT: &str = "target/scenes";
 
-/// The share of a walk that has to be in the light of both stations: what is in the dark is no scene's doing.
-const LIT: f64 = 0.95;
 /// Wrong fixes that are shown of a scene.
 const MOST_WRONG: usize = 20;
 
@@ -123,9 +117,9 @@ struct Images {
 }
 
 impl Images {
-    fn build(calib: &Path, calibration: &Calibration, light: &Scene) -> Result<Self> {
-        let named = named_room(calib, calibration, light)?;
-        Ok(Self { knows_ids: Image::build(&named)?, plain: Image::build(calib)? })
+    fn build(room: &Room) -> Result<Self> {
+        let named = named_room(room)?;
+        Ok(Self { knows_ids: Image::build(&named)?, plain: Image::build(&room.file)? })
     }
 
     fn play(&self, take: &Take) -> Result<Played> {
@@ -133,8 +127,8 @@ impl Images {
     }
 }
 
-/// Writes the room of `calib` with the serial numbers that the simulated stations send; where it lies.
-fn named_room(calib: &Path, calibration: &Calibration, light: &Scene) -> Result<PathBuf> {
+/// Writes a room with the serial numbers that the simulated stations send; where it lies.
+fn named_room(Room { file: calib, calibration, light, .. }: &Room) -> Result<PathBuf> {
     let text = std::fs::read_to_string(calib).with_context(|| calib.display().to_string())?;
     let stations = [("A", &light.station_a), ("B", &light.station_b)].into_iter().zip(&calibration.stations);
     let nameless = stations.filter(|(_, station)| station.id.is_none()).map(|(simulated, _)| simulated);
@@ -156,59 +150,38 @@ fn named_room(calib: &Path, calibration: &Calibration, light: &Scene) -> Result<
 
 /// Runs the scenes, prints, compares.
 pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
-    let calib = arguments.calib.clone().unwrap_or_else(|| root().join(firmware::DEFAULT_CALIB));
-    let calibration = firmware::room(&calib)?;
-    let other = firmware::other_light(&calib, &calibration)?;
-    let (all, left_out) = match &other {
-        None => (list::all(), Vec::new()),
-        Some(light) => list::anywhere(light),
-    };
+    let room = Room::open(arguments.calib.as_deref())?;
+    let (all, left_out) = list::of(&room);
     if arguments.list {
         for Named { name, what, takes } in &all {
             println!("{name:<20} {:>3} x {:>4.1} s  {what}", takes.len(), takes[0].scene.length_s);
         }
         return Ok(());
     }
-    ensure!(
-        trust::key_of(&calibration)?.is_none(),
-        "{}: its frames are secured; scenes read plain ones",
-        calib.display()
-    );
-    ensure!(
-        other.is_none() || !arguments.bless,
-        "{}: what is expected is of {}, and of no other room",
-        calib.display(),
-        firmware::DEFAULT_CALIB
-    );
-    let light = other.clone().unwrap_or_default();
-    let lit = simulate::lit(&light);
-    ensure!(
-        lit >= LIT,
-        "{}: both stations light the mote {:.0} % of the time where it is carried, in the middle half of the volume; they \
-         reach {} m. Give the file a [room] that they light",
-        calib.display(),
-        100.0 * lit,
-        light.optics.reach_m
-    );
+    ensure!(room.key.is_none(), "{}: its frames are secured; scenes read plain ones", room.file.display());
+    if arguments.bless {
+        room.ensure_expected()?;
+    }
+    room.ensure_lit()?;
     if let Some(name) = &arguments.name {
         ensure!(!left_out.iter().any(|named| named.name == *name), "{name} is made for {}", firmware::DEFAULT_CALIB);
         let named = all.iter().find(|named| named.name == *name);
         let named =
             named.with_context(|| format!("no scene is called {name}; `cargo xtask scenes --list` names them"))?;
-        return alone(&Images::build(&calib, &calibration, &light)?, named, &calibration);
+        return alone(&Images::build(&room)?, named, &room);
     }
-    let images = Images::build(&calib, &calibration, &light)?;
+    let images = Images::build(&room)?;
     let started = Instant::now();
     println!("{HEADING}");
-    let figures = judge_all(&images, &all, every_s(&calibration), |name, figures| println!("{}", line(name, figures)))?;
+    let figures = judge_all(&images, &all, room.report_every_s(), |name, figures| println!("{}", line(name, figures)))?;
     let rows: Vec<(&Named, &Figures)> = all.iter().zip(&figures).collect();
     let broken: Vec<_> = rows.iter().map(|(named, figures)| (named.name.as_str(), figures.broken())).collect();
     let table = rows
         .iter()
         .fold(format!("{HEADING}\n"), |text, (named, figures)| text + line(&named.name, figures).trim_end() + "\n");
-    if other.is_some() {
+    if let Some(why) = room.unlike_expected() {
         let names: Vec<&str> = left_out.iter().map(|named| named.name.as_str()).collect();
-        println!("another room than {}: not held against {EXPECTED};", firmware::DEFAULT_CALIB);
+        println!("{why}: not held against {EXPECTED};");
         println!("left out, as made for that room or a room of their own: {}, range, incidence", names.join(", "));
         let summary = summarised(&rows, None, &table);
         whole::json(&root().join(OUT).join("summary.json"), &summary)?;
@@ -227,27 +200,16 @@ pub(crate) fn scenes(arguments: &Arguments) -> Result<()> {
 
     let text = table + &curves.to_string();
     let kept = promises(&broken, &[&UNTIL_MET[..], &LIMITS[..]].concat());
-    let expected = root().join(EXPECTED);
     if arguments.bless {
-        if let Some(folder) = expected.parent() {
-            std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-        }
-        std::fs::write(&expected, text).with_context(|| EXPECTED.to_string())?;
-        println!("blessed: {EXPECTED}");
+        expected::bless(EXPECTED, &text)?;
         return kept;
     }
-    let known = std::fs::read_to_string(&expected)
-        .with_context(|| format!("{EXPECTED}; `cargo xtask scenes --bless` writes it"));
-    let same = known.and_then(|known| compare(&known, &text));
+    let same = expected::known(EXPECTED, "scenes").and_then(|known| compare(&known, &text));
     match (same, kept) {
         (Ok(()), kept) => kept,
         (same, Ok(())) => same,
         (Err(same), Err(kept)) => bail!("{same:#}\n{kept:#}"),
     }
-}
-
-fn every_s(calibration: &Calibration) -> f64 {
-    f64::from(calibration.mote.report_every_half_turns) * HALF_TURN_S
 }
 
 /// Plays every job on as many threads as there are cores; hands each result to `done` on this thread, as it comes.
@@ -319,7 +281,7 @@ fn judge_all(
 }
 
 /// Plays one scene and writes its worst take as `run` writes a run.
-fn alone(images: &Images, named: &Named, calibration: &Calibration) -> Result<()> {
+fn alone(images: &Images, named: &Named, room: &Room) -> Result<()> {
     let mut all: Vec<Option<Played>> = named.takes.iter().map(|_| None).collect();
     on_all_cores(
         &named.takes,
@@ -329,7 +291,7 @@ fn alone(images: &Images, named: &Named, calibration: &Calibration) -> Result<()
             Ok(())
         },
     )?;
-    let every_s = every_s(calibration);
+    let every_s = room.report_every_s();
     let takes: Vec<(&Take, Played)> = named.takes.iter().zip(all.into_iter().flatten()).collect();
     ensure!(!takes.is_empty(), "{} has no take", named.name);
     let figures = Figures::of(&takes.iter().map(|(take, played)| (*take, played)).collect::<Vec<_>>(), every_s);
@@ -375,7 +337,7 @@ fn alone(images: &Images, named: &Named, calibration: &Calibration) -> Result<()
         others: Vec::new(),
         frames: played.frames,
         truth: played.truth,
-        stations: Room::of(calibration).marks(),
+        stations: reference::Room::of(&room.calibration).marks(),
         spans: again.collect(),
         seconds: take.scene.length_s,
         cpu_percent: f64::NAN,

@@ -15,6 +15,8 @@
 //! only worth anything together. Without a single fix the errors are not numbers, and are written
 //! as such.
 
+use std::fmt;
+
 use lighthouse_mote::frame::{Header, Report};
 
 use crate::light::{HALF_TURN_S, Light};
@@ -72,6 +74,40 @@ impl FixRow {
     }
 }
 
+/// How late a recording's truth is: at the time of a sweep it tells where the mote was before.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Late {
+    /// By how much at [`Late::at_s`], seconds.
+    pub late_s: f64,
+    /// When that is, seconds of nominal mote time.
+    pub at_s: f64,
+    /// By how much it grows, seconds per second.
+    pub drift: f64,
+}
+
+impl Late {
+    /// When a truth was written that tells where the mote was at `seconds` of nominal mote time.
+    pub fn after(&self, seconds: f64) -> f64 {
+        seconds + self.late_s + self.drift * (seconds - self.at_s)
+    }
+
+    /// When the mote was where a truth that was written at `seconds` says.
+    pub fn before(&self, seconds: f64) -> f64 {
+        // A thousandth at most of what is milliseconds.
+        seconds - self.late_s - self.drift * (seconds - self.at_s)
+    }
+}
+
+impl fmt::Display for Late {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.1} ms later", 1e3 * self.late_s)?;
+        if self.drift == 0.0 {
+            return Ok(());
+        }
+        write!(f, " in the middle of the calibrate window and {:+.0} ppm of the time since", 1e6 * self.drift)
+    }
+}
+
 /// How good a run was.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
@@ -117,10 +153,10 @@ impl Score {
     }
 
     /// The same rows and fixes, but each fix is held against where the mote was when its newest angle was seen, with a
-    /// truth that is `late_s` late.
-    pub fn of_late_truth(recording: &Recording, light: &Light, fixes: &[FixRow], late_s: f64) -> Self {
+    /// truth that is late.
+    pub fn of_late_truth(recording: &Recording, light: &Light, fixes: &[FixRow], late: &Late) -> Self {
         let places = recorded_truth(recording, light);
-        let then = |fix: &FixRow| place_at(&places, fix.seconds + late_s);
+        let then = |fix: &FixRow| place_at(&places, late.after(fix.seconds));
         Self::of_rows(recording, light, fixes, |fix, row| then(fix).unwrap_or(row.truth))
     }
 

@@ -11,6 +11,9 @@
 //! [`WRONG_SHARE`] are wrong. No figure of the last hour differs from the first's by more than rounds differ from each
 //! other, and none has a trend ([`compare`]).
 //!
+//! In another room than `calib/default.toml` the scenes that mean something there are met, and the same must hold. In a
+//! room with a key a frame counts where a listener with the key believes it.
+//!
 //! What can go wrong: scenes that need another mote are not met: other clocks, a counter that is set, other pairs of
 //! stations, a receiver whose bias would drift for a day.
 
@@ -18,6 +21,7 @@ mod compare;
 mod plan;
 mod watch;
 
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
@@ -27,9 +31,13 @@ use crate::firmware;
 use crate::lit::Lit;
 use crate::log::Log;
 use crate::process::root;
+use crate::room::Room;
+use crate::scenes::list;
 use compare::Comparison;
 use plan::{Plan, ROUND_S};
 use watch::{Round, Watch};
+use xtask::calib::schema::SEALED_HALF_TURNS;
+use xtask::light::HALF_TURN_S;
 use xtask::whole;
 
 /// How the soak may be told.
@@ -47,11 +55,14 @@ pub(crate) struct Arguments {
     /// Which walk, which light, which order
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// The room to live in
+    #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
+    calib: Option<PathBuf>,
 }
 
 impl Arguments {
     /// Half a minute: the shortest that meets some scenes.
-    pub(crate) const SHORT: Self = Self { hours: 30.0 / 3600.0, from: 0.0, each: false, seed: 1 };
+    pub(crate) const SHORT: Self = Self { hours: 30.0 / 3600.0, from: 0.0, each: false, seed: 1, calib: None };
 }
 
 fn hours(text: &str) -> Result<f64, String> {
@@ -72,6 +83,9 @@ const HALF_TURN_WITHIN: f64 = 5e-4;
 /// What a fix may take from light to air, seconds: it may be held back until its half turn ends, 8.3 ms, and then wait for
 /// the oscillators, which are counted for six half turns once a minute, 50 ms; itself it takes under 2.
 const LATENCY_S: f64 = 0.0605;
+/// What it may take more where it is sealed, seconds: the half turns by which a mote that takes turns is ahead of its own,
+/// which is long enough for a report and a health frame.
+const SEALING_S: f64 = SEALED_HALF_TURNS as f64 * HALF_TURN_S;
 
 /// A wrong position is reported as good no longer than this, seconds: as where the chip misbehaves ([`crate::faults`]).
 const SPELL_S: f64 = 1.0;
@@ -80,20 +94,42 @@ const SPELL_S: f64 = 1.0;
 /// the same, which leave 2 (1 - Phi(3)) outside. Over all scenes together the share says nothing: it goes down with every
 /// scene that makes none.
 const WRONG_SHARE: f64 = 2.7e-3;
-/// Reports that the longest spell can have, which may fall into any scene however short: 15 a second.
-const SPELL_FIXES: f64 = 15.0 * SPELL_S;
+
+/// What depends on the room.
+#[derive(Debug, Clone, Copy, Default)]
+struct Allowed {
+    /// What a fix may take from light to air, seconds.
+    latency_s: f64,
+    /// Reports that the longest spell can have, which may fall into any scene however short.
+    spell_fixes: f64,
+}
+
+impl Allowed {
+    fn of(room: &Room) -> Self {
+        let latency_s = LATENCY_S + room.key.map_or(0.0, |_| SEALING_S);
+        Self { latency_s, spell_fixes: room.reports_per_s() * SPELL_S }
+    }
+}
 
 /// Runs the soak, prints, judges.
 pub(crate) fn soak(arguments: &Arguments) -> Result<()> {
-    let elf = firmware::scum3c(&root().join(firmware::DEFAULT_CALIB), "")?;
-    let plan = Plan::new(3600.0 * arguments.hours, arguments.seed);
+    let room = Room::open(arguments.calib.as_deref())?;
+    room.ensure_tells_places()?;
+    room.ensure_lit()?;
+    let elf = firmware::scum3c(&room.file, "")?;
+    let (scenes, left_out) = list::of(&room);
+    let plan = Plan::new(3600.0 * arguments.hours, arguments.seed, scenes, &room.light);
     println!(
         "{:.4} h of mote time in {} rounds of {} scenes and clear light between, seed {}",
         arguments.hours, plan.rounds, plan.scenes_per_round, arguments.seed
     );
+    if !left_out.is_empty() {
+        let names: Vec<&str> = left_out.iter().map(|named| named.name.as_str()).collect();
+        println!("left out, as made for {}: {}", firmware::DEFAULT_CALIB, names.join(", "));
+    }
     let started = Instant::now();
-    let mut lit = Lit::boot(&elf, &plan.clear(), arguments.seed)?;
-    let mut watch = Watch::new(Log::of(Log::strings(&elf)?));
+    let mut lit = Lit::boot(&elf, &plan.clear, arguments.seed)?.heard_with(room.key);
+    let mut watch = Watch::new(Log::of(Log::strings(&elf)?), Allowed::of(&room));
     let mut rounds: Vec<Round> = Vec::new();
     println!("{}", Round::HEADING);
     let mut halted = None;

@@ -116,7 +116,7 @@ impl Window {
 }
 
 /// Stands between the air and everything that shows or keeps a position.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Guard {
     key: Option<Key>,
     /// By PAN and mote: what was believed.

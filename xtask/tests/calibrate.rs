@@ -1,5 +1,8 @@
 //! `cargo xtask calibrate` from what is asked to what is written.
 
+#[path = "calibrate/recordings.rs"]
+mod recordings;
+
 use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -8,6 +11,7 @@ use clap::Parser;
 use lighthouse_mote::frame::{ANGLES, ANGLES_LEN, Angles, Header, Measured, emit_angles};
 use lighthouse_mote::sweep::{Axis, Station};
 use nalgebra::Vector3;
+use recordings::{recording, shown};
 use xtask::calib::{firmware, schema};
 use xtask::calibrate::{self, Arguments, Person, simulate::Simulated, sweeps};
 use xtask::light::{Light, LightConfig};
@@ -34,17 +38,13 @@ fn run(words: &[&str], typed: &str) -> (Result<(), String>, String) {
     (end, String::from_utf8(said).expect("text"))
 }
 
-fn shown(path: &Path) -> &str {
-    path.to_str().expect("a plain path")
-}
-
-/// The recording of this name, if it is on this computer.
-fn recording(name: &str) -> Option<PathBuf> {
-    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(name);
-    if !dir.is_dir() {
-        eprintln!("skipped: {} is not there", dir.display());
+/// Another fit of the same window, by others' code, lies in the recording; the two weigh outliers differently.
+fn assert_stands_as_fitted_by_others(room: &Path, recording: &Path) {
+    let [ours, theirs] = [room, &recording.join("stations.toml")].map(|file| schema::open(file).unwrap());
+    for (one, other) in ours.stations.iter().zip(&theirs.stations) {
+        let off = (Vector3::from(one.position) - Vector3::from(other.position)).norm();
+        assert!(off < 0.010, "{off} m");
     }
-    dir.is_dir().then_some(dir)
 }
 
 const DESK: &str = "seconds = 2\n[[point]]\nname = \"lamp\"\nposition = [0.4, 0.1, 0.3]\n\
@@ -193,12 +193,7 @@ fn the_run_of_the_2020_paper_is_trusted_and_its_stations_are_where_they_were() {
     let (end, said) = run(&words, "");
     end.unwrap_or_else(|error| panic!("{error}\n{said}"));
     assert!(said.contains("This calibration can be trusted"), "{said}");
-    // Another fit of the same window, by others' code, lies in the recording; the two weigh outliers differently.
-    let (ours, theirs) = (schema::open(&room).unwrap(), schema::open(&take5.join("stations.toml")).unwrap());
-    for (one, other) in ours.stations.iter().zip(&theirs.stations) {
-        let off = (Vector3::from(one.position) - Vector3::from(other.position)).norm();
-        assert!(off < 0.010, "{off} m");
-    }
+    assert_stands_as_fitted_by_others(&room, &take5);
 }
 
 #[test]
@@ -221,11 +216,7 @@ fn truth_on_a_clock_of_its_own_gives_the_same_room() {
     let found: f64 = offset.split_whitespace().rev().nth(1).unwrap().parse().unwrap();
     // The solver's own limit for an offset it vouches for.
     assert!((found - 7.25).abs() < 0.005, "{offset}");
-    let theirs = schema::open(&take5.join("stations.toml")).unwrap();
-    for (one, other) in schema::open(&room).unwrap().stations.iter().zip(&theirs.stations) {
-        let off = (Vector3::from(one.position) - Vector3::from(other.position)).norm();
-        assert!(off < 0.010, "{off} m");
-    }
+    assert_stands_as_fitted_by_others(&room, &take5);
 }
 
 #[test]
@@ -264,11 +255,7 @@ fn captured_angles_and_a_table_of_places_are_a_room_too() {
     let words = ["--recording", shown(&air), "--truth", shown(&table), "-o", shown(&room), "--report", shown(&page)];
     let (end, said) = run(&words, "");
     end.unwrap_or_else(|error| panic!("{error}\n{said}"));
-    let theirs = schema::open(&take5.join("stations.toml")).unwrap();
-    for (one, other) in schema::open(&room).unwrap().stations.iter().zip(&theirs.stations) {
-        let off = (Vector3::from(one.position) - Vector3::from(other.position)).norm();
-        assert!(off < 0.010, "{off} m");
-    }
+    assert_stands_as_fitted_by_others(&room, &take5);
     let error = run(&["--recording", shown(&air), "-o", shown(&room), "--report", shown(&page)], "").0.unwrap_err();
     assert!(error.contains("does not say where the mote was: add --truth"), "{error}");
 }

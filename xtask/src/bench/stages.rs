@@ -16,7 +16,8 @@ use sim::world::path::Path;
 use sim::world::{Scene, World};
 use xtask::calib::Calibration;
 
-use super::{Room, flash};
+use super::flash;
+use crate::room::Room;
 
 /// Light for the stages, seconds: 480 sweeps.
 const LIGHT_S: f64 = 4.0;

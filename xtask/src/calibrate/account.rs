@@ -8,10 +8,12 @@ use nalgebra::Vector3;
 
 use super::gather::Gathered;
 use super::judgement::{Figures, OUTSIDE, Outside, RotorFigures, length};
+use super::lateness::Found;
 use super::solve::Solution;
-use super::{TOOL, lateness, room, session};
+use super::{TOOL, room, session};
 use crate::quantile::quantile;
 use crate::reference::{Method, Room as ReferenceRoom};
+use crate::score::Late;
 
 pub(super) fn figures(solution: &Solution, gathered: &Gathered) -> Figures {
     let rotors = std::array::from_fn(|index| {
@@ -28,13 +30,13 @@ pub(super) fn figures(solution: &Solution, gathered: &Gathered) -> Figures {
     let recorded = gathered.recorded.as_ref().filter(|(recording, _)| !recording.calibrate.is_empty());
     let outside = recorded.map(|(recording, light)| {
         let method = Method::plain(ReferenceRoom { stations: solution.stations.clone() });
-        let late_s = late_s(gathered, solution);
-        let score = method.score_midway(recording, light, late_s.unwrap_or(0.0));
-        let as_written = method.score_midway(recording, light, 0.0);
+        let late = late(gathered, solution).map(|found| found.on(recording, light));
+        let score = method.score_midway(recording, light, &late.unwrap_or_default());
+        let as_written = method.score_midway(recording, light, &Late::default());
         Outside {
             mean_m: score.mean3d_cm / 100.0,
             share: score.coverage(),
-            late_s,
+            late,
             as_written_m: as_written.mean3d_cm / 100.0,
         }
     });
@@ -53,9 +55,15 @@ pub(super) fn figures(solution: &Solution, gathered: &Gathered) -> Figures {
     }
 }
 
-/// By how much the truth is late, seconds, where it is on the mote's clock and that was fitted.
-pub(super) fn late_s(gathered: &Gathered, solution: &Solution) -> Option<f64> {
-    (gathered.apart_s.is_none() && solution.offset_s != 0.0).then_some(solution.offset_s)
+/// By how much the truth is late, where it is in one log with the sweeps and that was fitted.
+pub(super) fn late(gathered: &Gathered, solution: &Solution) -> Option<Found> {
+    let (recording, light) = gathered.recorded.as_ref()?;
+    Found::of(solution, recording, light)
+}
+
+/// The drift of two clocks for people.
+fn drift_words(drift: f64) -> String {
+    format!("{:+.1} ppm", 1e6 * drift)
 }
 
 /// Where the kept sweeps were, in the order of time; each place once where they are places.
@@ -100,14 +108,15 @@ pub(super) fn provenance(
     say("condition", format!("{:.0}", figures.condition));
     if gathered.apart_s.is_some() {
         say("time_offset", format!("truth's clock less the mote's {:.4} s", solution.offset_s));
+        if let Some(drift) = solution.drift {
+            say("time_drift", format!("truth's clock against the rotors {}", drift_words(drift)));
+        }
     }
     if let Some(arm) = solution.lever_arm {
         let [x, y, z] = arm.into();
         say("lever_arm", format!("({x:.4}, {y:.4}, {z:.4}) m on the tracked body"));
     }
-    if let Some(late_s) = late_s(gathered, solution) {
-        rows.push((lateness::KEY.to_string(), ((1e5 * late_s).round() / 100.0).into()));
-    }
+    rows.extend(late(gathered, solution).iter().flat_map(Found::written));
     rows
 }
 
@@ -125,8 +134,11 @@ pub(super) fn facts(
     facts.push(("median distance to a station".to_string(), length(figures.distance_m)));
     if gathered.apart_s.is_some() {
         facts.push(("truth's clock less the mote's".to_string(), format!("{:.4} s", solution.offset_s)));
-    } else if let Some(late_s) = late_s(gathered, solution) {
-        facts.push(("how late the truth is".to_string(), format!("{:.1} ms", 1000.0 * late_s)));
+    } else if let Some(late) = late(gathered, solution) {
+        facts.push(("how late the truth is".to_string(), format!("{:.1} ms", 1000.0 * late.late_s)));
+    }
+    if let Some(drift) = solution.drift {
+        facts.push(("the truth's clock against the rotors".to_string(), drift_words(drift)));
     }
     if let Some(arm) = solution.lever_arm {
         facts.push(("photodiode on the tracked body".to_string(), place(arm.into())));

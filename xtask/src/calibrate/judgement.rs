@@ -6,6 +6,7 @@
 use std::fmt;
 
 use super::session::ROTORS;
+use crate::score::Late;
 
 /// What is known of one rotor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -44,8 +45,8 @@ pub struct Outside {
     pub mean_m: f64,
     /// Part of the rows with a place.
     pub share: f64,
-    /// By how much the truth was taken later, as found within the window, seconds.
-    pub late_s: Option<f64>,
+    /// By how much the truth was taken later, as found within the window.
+    pub late: Option<Late>,
     /// Mean 3-D error where it is not, metres.
     pub as_written_m: f64,
 }
@@ -57,12 +58,11 @@ impl Outside {
     /// The figures for people.
     pub fn words(&self) -> String {
         let share = format!("reflections and all, for {:.1} % of its rows", 100.0 * self.share);
-        match self.late_s {
+        match self.late {
             None => format!("{}, {share}", length(self.mean_m)),
-            Some(late_s) => format!(
-                "{}, {share}, with the truth taken {:.1} ms later; {} with the truth as written",
+            Some(late) => format!(
+                "{}, {share}, with the truth taken {late}; {} with the truth as written",
                 length(self.mean_m),
-                1000.0 * late_s,
                 length(self.as_written_m)
             ),
         }

@@ -187,6 +187,7 @@ impl Harm {
                 let bytes: Vec<u8> = (0..words).flat_map(|_| noise.next_u64().to_le_bytes()).collect();
                 mote.machine.write_bytes(sim::memory::DATA_START, &bytes);
                 mote.restart();
+                lit.forget_counters();
             }
             Kind::Storm => fail(Failure::Lines(1 << self.line)),
             Kind::StormOfAll => fail(Failure::Lines(0xffff)),

@@ -175,6 +175,12 @@ impl Grid {
         let start = self.first + knot as i64 * KNOT;
         start as f64 + (time - self.start(start)) / self.length(start)
     }
+
+    /// The half turn of a sight's slot that begins nearest to it.
+    fn number_of(&self, sight: &Sight) -> i64 {
+        let cycles = (self.number_at(sight.time) - sight.slot as f64) / SLOTS as f64;
+        sight.slot + SLOTS * cycles.round() as i64
+    }
 }
 
 /// The meaning of the timestamps and the grid that follows from it.
@@ -220,9 +226,7 @@ impl Found {
         let numbers = sights
             .iter()
             .map(|sight| {
-                let at = grid.number_at(sight.time);
-                let cycles = (at - sight.slot as f64) / SLOTS as f64;
-                let number = sight.slot + SLOTS * cycles.round() as i64;
+                let number = grid.number_of(sight);
                 (number, (sight.time - grid.start(number)) / half_turn)
             })
             .collect();
@@ -257,9 +261,7 @@ impl Found {
         let mut late: Vec<f64> = sights
             .iter()
             .map(|sight| {
-                let at = grid.number_at(sight.time);
-                let cycles = (at - sight.slot as f64) / SLOTS as f64;
-                let near = sight.slot + SLOTS * cycles.round() as i64;
+                let near = grid.number_of(sight);
                 sight.time - grid.start(near)
             })
             .collect();

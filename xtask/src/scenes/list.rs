@@ -12,6 +12,7 @@ use sim::world::receiver::{Line, LineFault, Mirror, Strobe};
 use sim::world::station::{Hides, Moved, Occlusion, Station};
 
 use super::reason::Reason;
+use crate::room::Room;
 
 /// A cycle of four slots, seconds.
 const CYCLE_S: f64 = 4.0 / 120.0;
@@ -104,18 +105,20 @@ impl List<'_> {
 }
 
 /// All of them in the default room, in the order of the table.
+#[cfg(test)]
 pub(crate) fn all() -> Vec<Named> {
-    of(&Scene::default())
+    lit_by(&Scene::default())
 }
 
-/// Those that mean something in whatever room: not its own walls, and not B knocked about in the one way that matters
-/// where both stations stand side by side.
-pub(super) fn anywhere(room: &Scene) -> (Vec<Named>, Vec<Named>) {
-    of(room).into_iter().partition(|named| named.name != "reflections" && !named.name.starts_with("moved-"))
+/// Those that mean something in a room, in the order of the table, and those that do not. In the default room all do;
+/// elsewhere not its walls, and not B knocked about in the one way that matters where both stations stand side by side.
+pub(crate) fn of(room: &Room) -> (Vec<Named>, Vec<Named>) {
+    let anywhere = |named: &Named| named.name != "reflections" && !named.name.starts_with("moved-");
+    lit_by(&room.light).into_iter().partition(|named| !room.is_other || anywhere(named))
 }
 
 /// All of them in the light of a room.
-fn of(room: &Scene) -> Vec<Named> {
+fn lit_by(room: &Scene) -> Vec<Named> {
     let mut all = List { room, named: Vec::new() };
     all.walks("light", "the room as it is, undisturbed", 30.0, |_| {});
     occlusions(&mut all);

@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use sim::world::Scene;
 
-use crate::scenes::list;
+use crate::scenes::list::Named;
 
 /// Every scene once, and as much clear light as fills it, seconds.
 pub(super) const ROUND_S: f64 = 1800.0;
@@ -34,14 +34,18 @@ pub(super) struct Plan {
     pub(super) meetings: Vec<Meeting>,
     pub(super) rounds: usize,
     pub(super) scenes_per_round: usize,
-    length_s: f64,
+    /// The light of the whole life, before anything is met.
+    pub(super) clear: Scene,
 }
 
 impl Plan {
-    /// For `length_s` of mote time. Less than a round has only as many scenes as fit.
-    pub(super) fn new(length_s: f64, seed: u64) -> Self {
+    /// For `length_s` of mote time with these scenes in `clear` light. Less than a round has only as many scenes as fit.
+    pub(super) fn new(length_s: f64, seed: u64, scenes: Vec<Named>, clear: &Scene) -> Self {
         let mut noise = ChaCha8Rng::seed_from_u64(seed);
-        let mut deck: Vec<(String, Scene)> = list::all()
+        // Some more: the last frame is still to come when time is up.
+        let whole = Scene { length_s: length_s + 1.0, ..clear.clone() };
+        let clear = Scene { length_s, ..clear.clone() };
+        let mut deck: Vec<(String, Scene)> = scenes
             .into_iter()
             .filter(|named| !OTHERS.iter().any(|other| named.name.starts_with(other)))
             .filter_map(|mut named| {
@@ -78,7 +82,6 @@ impl Plan {
                 });
                 at_s = to_s;
             };
-            let clear = Scene { length_s, ..Scene::default() };
             meet(CLEAR, &clear, clear_s);
             for (name, scene) in hand {
                 meet(name, scene, scene.length_s);
@@ -88,13 +91,7 @@ impl Plan {
                 last.ends_round = true;
             }
         }
-        Self { meetings, rounds, scenes_per_round, length_s }
-    }
-
-    /// The light of the whole life, before anything is met.
-    pub(super) fn clear(&self) -> Scene {
-        // Some more: the last frame is still to come when time is up.
-        Scene { length_s: self.length_s + 1.0, ..Scene::default() }
+        Self { meetings, rounds, scenes_per_round, clear: whole }
     }
 
     pub(super) fn rounds_per_hour(&self) -> usize {
@@ -111,11 +108,12 @@ fn shuffle<T>(cards: &mut [T], noise: &mut impl Rng) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenes::list;
     use std::collections::BTreeSet;
 
     #[test]
     fn every_round_of_a_day_has_every_scene_and_no_moment_twice() {
-        let plan = Plan::new(86_400.0, 7);
+        let plan = Plan::new(86_400.0, 7, list::all(), &Scene::default());
         assert_eq!(plan.rounds, 48);
         let rounds: Vec<&[Meeting]> = plan.meetings.split_inclusive(|meeting| meeting.ends_round).collect();
         let scenes = |round: &[Meeting]| round.iter().map(|meeting| meeting.name.clone()).collect::<BTreeSet<_>>();
@@ -130,7 +128,7 @@ mod tests {
 
     #[test]
     fn half_a_minute_has_what_fits() {
-        let plan = Plan::new(30.0, 1);
+        let plan = Plan::new(30.0, 1, list::all(), &Scene::default());
         assert_eq!(plan.rounds, 1);
         assert!(plan.scenes_per_round >= 1);
         assert!((plan.meetings.last().map_or(0.0, |last| last.to_s) - 30.0).abs() < 1e-6);

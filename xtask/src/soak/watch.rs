@@ -11,7 +11,7 @@ use xtask::listen::model::by_name;
 use xtask::quantile::quantile;
 
 use super::plan::{CLEAR, Meeting};
-use super::{HALF_TURN_WITHIN, LATENCY_S, SPELL_FIXES, SPELL_S, WRONG_SHARE};
+use super::{Allowed, HALF_TURN_WITHIN, SPELL_S, WRONG_SHARE};
 use crate::lit::{Fix, Lit, Said};
 use crate::log::{Log, is_lock_lost, is_start};
 use crate::scenes::known_wrong;
@@ -152,6 +152,7 @@ pub(super) struct Life {
     /// Fixes of level full in each scene.
     good: BTreeMap<String, u64>,
     refused: u64,
+    allowed: Allowed,
 }
 
 /// Wrong fixes of level full.
@@ -189,7 +190,7 @@ impl Life {
 
     /// How many of a scene's good fixes may be wrong.
     fn may_be_wrong(&self, scene: &str) -> u64 {
-        (WRONG_SHARE * self.good_in(scene) as f64 + SPELL_FIXES) as u64
+        (WRONG_SHARE * self.good_in(scene) as f64 + self.allowed.spell_fixes) as u64
     }
 
     /// What must not be.
@@ -212,7 +213,7 @@ impl Life {
             self.half_turn_ppm <= 1e6 * HALF_TURN_WITHIN,
             format!("the half turn was off by {} ppm", self.half_turn_ppm),
         );
-        must(self.latency_ms <= 1e3 * LATENCY_S, format!("a fix took {} ms to the air", self.latency_ms));
+        must(self.latency_ms <= 1e3 * self.allowed.latency_s, format!("a fix took {} ms to the air", self.latency_ms));
         must(self.refused == 0, format!("the radio refused {} times", self.refused));
         for (scene, wrong) in self.wrong.iter().filter(|(scene, _)| !known_wrong(scene)) {
             let Wrong { fixes, longest_s, .. } = wrong;
@@ -302,11 +303,11 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    pub(super) fn new(log: Log<'static>) -> Self {
+    pub(super) fn new(log: Log<'static>, allowed: Allowed) -> Self {
         Self {
             log,
             round: Round::default(),
-            life: Life::default(),
+            life: Life { allowed, ..Life::default() },
             name: String::new(),
             since_s: 0.0,
             last_s: 0.0,

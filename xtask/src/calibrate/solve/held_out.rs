@@ -7,9 +7,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::HeldOut;
 use super::model::{Fitted, V3, add, dot, length, median, scale, sub};
 use super::refine::{Data, Free, Guess, Point};
+use super::solution::HeldOut;
 use crate::reference::ideal;
 
 /// Blocks.
@@ -20,14 +20,8 @@ const TOGETHER_S: f64 = 0.1;
 /// Rounds of a fit that begins beside its end.
 const ROUNDS: usize = 4;
 
-/// A model's figures on what it was not fitted to.
-#[derive(Clone, Debug)]
-pub(super) struct Judged {
-    pub held_out: HeldOut,
-}
-
 /// Fits with each block left out, and looks at what was left out; residuals count as at most `limit` per rotor.
-pub(super) fn judge(data: Data<'_>, guess: Guess, free: Free, limit: &[[f64; 2]; 2]) -> Judged {
+pub(super) fn judge(data: Data<'_>, guess: Guess, free: Free, limit: &[[f64; 2]; 2]) -> HeldOut {
     let block = data.points.len().div_ceil(FOLDS).max(1);
     let mut squares = [[(0.0, 0usize); 2]; 2];
     let (mut clipped, mut rejected) = (0.0, 0);
@@ -63,16 +57,14 @@ pub(super) fn judge(data: Data<'_>, guess: Guess, free: Free, limit: &[[f64; 2];
     }
     let count = data.points.len().max(1) as f64;
     let places = errors.len();
-    Judged {
-        held_out: HeldOut {
-            folds: FOLDS,
-            rms: squares.map(|station| station.map(|(sum, n)| (sum / n as f64).sqrt())),
-            scatter: (clipped / count).sqrt(),
-            rejected_share: f64::from(rejected) / count,
-            places,
-            mean_3d_m: errors.iter().sum::<f64>() / places as f64,
-            median_3d_m: median(&mut errors),
-        },
+    HeldOut {
+        folds: FOLDS,
+        rms: squares.map(|station| station.map(|(sum, n)| (sum / n as f64).sqrt())),
+        scatter: (clipped / count).sqrt(),
+        rejected_share: f64::from(rejected) / count,
+        places,
+        mean_3d_m: errors.iter().sum::<f64>() / places as f64,
+        median_3d_m: median(&mut errors),
     }
 }
 

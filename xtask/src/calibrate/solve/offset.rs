@@ -10,8 +10,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::Sighting;
 use super::model::{V3, median, scale, sub};
+use super::observation::Sighting;
 use super::path::Path;
 
 /// Step of the grid, seconds: a hand changes its mind a few times a second at most.

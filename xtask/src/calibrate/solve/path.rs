@@ -3,7 +3,7 @@
 //! What can go wrong: two samples at one instant; the first counts.
 
 use super::model::{V3, add, length, scale, sub};
-use super::{Attitude, TruthSample};
+use super::observation::{Attitude, TruthSample};
 
 /// Truth is joined over no longer than this, seconds: at 1 m/s a hand bends its path by about a centimetre in it.
 pub(super) const JOIN_S: f64 = 0.1;

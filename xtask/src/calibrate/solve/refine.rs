@@ -11,14 +11,16 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::Attitude;
 use super::model::{Fitted, PER_STATION, TERMS, V3, add, cross, dot, median};
+use super::observation::Attitude;
 use super::path::{Path, attitude};
 
-/// All numbers that can be fitted: two stations, the clocks' offset, the lever arm.
-const ALL: usize = 2 * PER_STATION + 4;
+/// All numbers that can be fitted: two stations, the clocks' offset and drift, the lever arm.
+const ALL: usize = 2 * PER_STATION + SHARED;
+const SHARED: usize = 5;
 const OFFSET: usize = 2 * PER_STATION;
-const LEVER: usize = OFFSET + 1;
+const DRIFT: usize = OFFSET + 1;
+const LEVER: usize = DRIFT + 1;
 /// How factory terms spread, radians: stations seen in the field have phases up to 0.06, tilts up to 0.006 and
 /// once-per-turn terms up to 0.017.
 const SPREAD: [f64; TERMS] = [0.05, 0.004, 0.01, 0.01];
@@ -46,6 +48,7 @@ pub(super) struct Point {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Free {
     pub offset: bool,
+    pub drift: bool,
     /// The first so many of [`TERMS`] per rotor.
     pub terms: usize,
     pub lever: bool,
@@ -61,6 +64,9 @@ impl Free {
         if self.offset {
             columns.push(OFFSET);
         }
+        if self.drift {
+            columns.push(DRIFT);
+        }
         if self.lever {
             columns.extend(LEVER..ALL);
         }
@@ -72,10 +78,21 @@ impl Free {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Guess {
     pub stations: [Fitted; 2],
-    /// Truth clock less mote clock, seconds.
+    /// Truth clock less mote clock in the middle of the walk, seconds.
     pub offset_s: f64,
+    /// When that is, seconds of the mote's clock.
+    pub middle_s: f64,
+    /// By how much that grows, seconds per second.
+    pub drift: f64,
     /// From what the truth tracks to the photodiode, in the body's axes, metres.
     pub lever: V3,
+}
+
+impl Guess {
+    /// What the truth's clock says when the mote's says `at_s`, seconds.
+    pub(super) fn truth_s(&self, at_s: f64) -> f64 {
+        at_s + self.offset_s + self.drift * (at_s - self.middle_s)
+    }
 }
 
 /// How outliers are weighed.
@@ -117,9 +134,10 @@ pub(super) struct Fit {
     pub scatter: [[f64; 2]; 2],
     /// Of the unknowns scaled to one another.
     pub condition: f64,
-    /// Standard deviations: of the stations' places, metres, and of the offset, seconds.
+    /// Standard deviations: of the stations' places, metres, of the offset, seconds, and of the drift.
     pub position_sd: [f64; 2],
     pub offset_sd: f64,
+    pub drift_sd: f64,
 }
 
 struct Normal {
@@ -131,7 +149,7 @@ struct Normal {
 impl Data<'_> {
     /// The photodiode's place for a sighting, its velocity, and the body's turn.
     fn place(&self, guess: &Guess, point: &Point) -> (V3, V3, Option<[V3; 3]>) {
-        let t = point.at_s + guess.offset_s;
+        let t = guess.truth_s(point.at_s);
         let (place, velocity) = self.path.anywhere(t);
         match attitude(self.attitudes, t) {
             Some(body) => (add(place, body.map(|row| dot(row, guess.lever))), velocity, Some(body)),
@@ -195,8 +213,8 @@ impl Data<'_> {
             let by_turn = cross(c, predicted.by_point);
             let by_world: V3 =
                 std::array::from_fn(|k| (0..3).map(|row| station.rotation[row][k] * predicted.by_point[row]).sum());
-            let mut row = [0.0; 6 + TERMS + 4];
-            let mut columns = [0; 6 + TERMS + 4];
+            let mut row = [0.0; 6 + TERMS + SHARED];
+            let mut columns = [0; 6 + TERMS + SHARED];
             for k in 0..3 {
                 row[k] = by_turn[k];
                 row[3 + k] = -by_world[k];
@@ -209,11 +227,12 @@ impl Data<'_> {
                 columns[6 + k] = s * PER_STATION + 6 + axis * TERMS + k;
             }
             row[6 + TERMS] = dot(by_world, velocity);
+            row[7 + TERMS] = row[6 + TERMS] * (point.at_s - guess.middle_s);
             for k in 0..3 {
                 // The world's direction in the body's axes.
-                row[7 + TERMS + k] = body.map_or(0.0, |body| (0..3).map(|w| by_world[w] * body[w][k]).sum());
+                row[8 + TERMS + k] = body.map_or(0.0, |body| (0..3).map(|w| by_world[w] * body[w][k]).sum());
             }
-            for k in 0..4 {
+            for k in 0..SHARED {
                 columns[6 + TERMS + k] = OFFSET + k;
             }
             let row = row.map(|entry| entry / scatter[s][axis]);
@@ -296,7 +315,8 @@ impl Data<'_> {
         let scaled = DMatrix::from_fn(columns.len(), columns.len(), |i, j| square[(i, j)] / (scales[i] * scales[j]));
         let eigen = SymmetricEigen::new(scaled.clone());
         let condition = (eigen.eigenvalues.max() / eigen.eigenvalues.min().max(1e-300)).sqrt();
-        let mut fit = Fit { guess, scatter, condition, position_sd: [f64::INFINITY; 2], offset_sd: f64::INFINITY };
+        let open = f64::INFINITY;
+        let mut fit = Fit { guess, scatter, condition, position_sd: [open; 2], offset_sd: open, drift_sd: open };
         if let Some(inverse) = scaled.cholesky().map(|factors| factors.inverse()) {
             let variance = |k: usize| inverse[(k, k)] / (scales[k] * scales[k]);
             let at = |wanted: usize| columns.iter().position(|&column| column == wanted);
@@ -305,6 +325,7 @@ impl Data<'_> {
                 places.map(variance).sum::<f64>().sqrt()
             });
             fit.offset_sd = at(OFFSET).map_or(0.0, |k| variance(k).sqrt());
+            fit.drift_sd = at(DRIFT).map_or(0.0, |k| variance(k).sqrt());
         }
         fit
     }
@@ -340,6 +361,7 @@ fn moved(guess: &Guess, columns: &[usize], step: &DVector<f64>) -> Guess {
         }
     }
     next.offset_s += by[OFFSET];
+    next.drift += by[DRIFT];
     next.lever = add(next.lever, [by[LEVER], by[LEVER + 1], by[LEVER + 2]]);
     next
 }

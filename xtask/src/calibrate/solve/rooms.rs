@@ -8,7 +8,9 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
 
 use super::model::Fitted;
-use super::{Rotor, Sighting, Station, TruthSample};
+use super::observation::{Sighting, TruthSample};
+use crate::calib::schema::Rotor;
+use crate::reference::Pose as Station;
 
 /// What rooms are like.
 #[derive(Clone, Copy, Debug)]

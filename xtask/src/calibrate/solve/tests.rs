@@ -98,6 +98,24 @@ fn truth_that_comes_late_on_the_mote_s_own_clock_is_noticed() {
 }
 
 #[test]
+fn truth_whose_clock_drifts_against_the_rotors_is_noticed() {
+    let kind = Kind { instants: 900, ..QUICK };
+    for (seed, drift) in [(1, -425e-6), (2, 425e-6), (3, 0.0)] {
+        let mut room = simulate(&kind, seed);
+        let middle_s = 0.5 * room.truth.last().map_or(0.0, |last| last.at_s);
+        for sample in &mut room.truth {
+            sample.at_s += 0.003 + drift * (sample.at_s - middle_s);
+        }
+        let solution = solved(&room, &Options { late: true, ..ideal_rotors() }).unwrap();
+        assert!((solution.middle_s - middle_s).abs() < 0.1, "{} s", solution.middle_s);
+        assert!((solution.offset_s - 0.003).abs() < 0.0005, "{} s", solution.offset_s);
+        assert_eq!(solution.drift.is_some(), drift != 0.0, "{:?}", solution.evidence);
+        // 1 mrad is 7 ms of a hand that passes at 0.15 rad/s; of 3,600 sweeps over 30 s that leaves 13 ppm: four of those.
+        assert!((solution.drift.unwrap_or(0.0) - drift).abs() < 52e-6, "{:?} instead of {drift}", solution.drift);
+    }
+}
+
+#[test]
 fn a_truth_that_is_much_too_late_is_no_truth() {
     let mut room = simulate(&Kind { instants: 400, ..QUICK }, 1);
     for sample in &mut room.truth {

@@ -12,8 +12,8 @@
 use anyhow::{Result, anyhow, bail, ensure};
 use nalgebra::{Quaternion, UnitQuaternion};
 
-use super::solve::Attitude;
-use super::truth::{Samples, Truth, rows};
+use super::samples::{Samples, Truth, rows};
+use crate::calibrate::solve::Attitude;
 
 /// How such a file begins.
 const FIRST: &str = "Format Version";
@@ -168,8 +168,9 @@ fn choose<'a>(name: &str, tracked: &'a [Tracked], body: Option<&str>) -> Result<
 
 #[cfg(test)]
 mod tests {
-    use super::super::truth;
     use nalgebra::Vector3;
+
+    use super::*;
 
     /// Two bodies in millimetres: a wand, and the mote, which was lost in the second and the third frame.
     const TWO: &str = "\
@@ -187,20 +188,20 @@ Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,X,Y,Z,X,Y,Z
 ";
 
     fn complaint(text: &str, body: Option<&str>) -> String {
-        format!("{:#}", truth::read("take.csv", text, body).expect_err("a bad file"))
+        format!("{:#}", read("take.csv", text, body).expect_err("a bad file"))
     }
 
     #[test]
     fn the_chosen_one_of_two_bodies_is_read_in_metres_and_blanks_are_left_out() {
-        let truth = truth::read("take.csv", TWO, Some("mote")).unwrap();
+        let truth = read("take.csv", TWO, Some("mote")).unwrap();
         assert_eq!((truth.samples.len(), truth.lost), (2, 2));
         assert!((truth.samples[0].position - Vector3::new(0.250, 1.000, -0.0355)).norm() < 1e-12);
         assert_eq!(truth.samples[1].at_s, 0.025);
-        let wand = truth::read("take.csv", TWO, Some("wand")).unwrap();
+        let wand = read("take.csv", TWO, Some("wand")).unwrap();
         assert_eq!((wand.samples.len(), wand.lost, wand.attitudes.len()), (3, 1, 3));
         assert!(wand.attitudes[2].rotation.angle() < 1e-12 && truth.attitudes.is_empty());
         assert_eq!(wand.samples[0].position, Vector3::new(0.9, 0.001, 0.002));
-        let marker = truth::read("take.csv", TWO, Some("mote:1")).unwrap();
+        let marker = read("take.csv", TWO, Some("mote:1")).unwrap();
         assert_eq!(marker.samples[0].position.y, 1.001);
     }
 
@@ -234,6 +235,6 @@ Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,X,Y,Z,X,Y,Z
     #[test]
     fn the_only_body_needs_no_choice() {
         let one = TWO.replacen(&"Rigid Body,".repeat(8), &",".repeat(8), 1);
-        assert_eq!(truth::read("take.csv", &one, None).unwrap().samples.len(), 2);
+        assert_eq!(read("take.csv", &one, None).unwrap().samples.len(), 2);
     }
 }

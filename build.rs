@@ -46,7 +46,11 @@ fn bake() {
         if calibration.mote.key.is_some() && env::var_os("CARGO_FEATURE_SECURITY").is_none() {
             println!("cargo:warning=the room has a key, and the feature `security` is off: frames are plain");
         }
-        firmware::source(&chosen, &calibration)
+        let held = firmware::bake(&chosen, &calibration)?;
+        if let Some(warning) = held.warning(&calibration.mote) {
+            println!("cargo:warning={warning}");
+        }
+        firmware::source_of(&chosen, &calibration, &held)
     });
     let source = baked.unwrap_or_else(|error| {
         eprintln!("{error}");

@@ -2,11 +2,10 @@
 //!
 //! What can go wrong: a room that the fixed-point solver cannot hold; it is refused with the number that breaks.
 
-use super::quantise::{self, Baked, Room};
+use super::quantise::{self, Baked, OutOfReach, Room, TRACK_REACH_M};
 use super::schema::{
     Calibration, Error, Estimate, Mote, Name, RoomBox, Rotor, SEALED_HALF_TURNS, Send, Station, SweepEdge,
 };
-use super::solver::Calib;
 use super::volume::{reach, shared_view};
 
 /// Milliseconds of a half turn.
@@ -14,8 +13,8 @@ const HALF_TURN_MS: f64 = 1000.0 / 120.0;
 /// Units of [`lighthouse_mote::angle::Angle`] in a radian: 2^20 in pi.
 const ANGLE_UNITS_PER_RAD: f64 = (1u32 << 20) as f64 / std::f64::consts::PI;
 
-/// A room that declares no volume is tried at these shares of its reach: the widest that the fast form can hold, or
-/// else the widest that any can.
+/// A room that declares no volume is tried at these shares of its reach: the widest that the fast form holds at its best,
+/// or else the widest that any can.
 const SHARES: [f64; 5] = [1.0, 0.85, 0.7, 0.6, 0.5];
 
 /// A room as the solver holds it.
@@ -28,19 +27,50 @@ pub struct Held {
     pub baked: Baked,
 }
 
+impl Held {
+    /// Whether it is as exact as a room can be: the fast form, at its best.
+    #[must_use]
+    pub fn is_exact(&self) -> bool {
+        self.baked.slack <= 1.0
+    }
+
+    /// What whoever flies this room ought to know, if anything.
+    #[must_use]
+    #[allow(dead_code, reason = "not everybody who bakes flies")]
+    pub fn warning(&self, mote: &Mote) -> Option<String> {
+        let OutOfReach { share, .. } = self.baked.out_of_reach;
+        (mote.estimate == Estimate::Track && share > 0.0).then(|| {
+            format!(
+                "{:.1} % of the room lies {TRACK_REACH_M} m or more ahead of a station, where no track begins",
+                100.0 * share
+            )
+        })
+    }
+}
+
 /// Quantises the room.
 ///
 /// # Errors
-/// The stations share no view, or the solver cannot hold the room.
+/// The stations share no view, the solver cannot hold the room, or no track could begin in it.
 pub fn bake(file: &str, calibration: &Calibration) -> Result<Held, Error> {
     let stations = &calibration.stations;
     let refuse = |field: &str, what: String| Error { file: file.to_string(), line: 0, field: field.to_string(), what };
     let hold = |volume: RoomBox| {
         let RoomBox { min, max } = volume;
         let pose = |station: Station| quantise::Station { rotation: station.rotation, position: station.position };
-        quantise::bake(&Room { stations: stations.map(pose), min, max })
-            .map(|baked| Held { volume, baked })
-            .map_err(|refusal| refuse("room", format!("cannot be represented: {refusal}")))
+        let baked = quantise::bake(&Room { stations: stations.map(pose), min, max })
+            .map_err(|refusal| refuse("room", format!("cannot be represented: {refusal}")))?;
+        let OutOfReach { share, nearest_m } = baked.out_of_reach;
+        if share >= 1.0 && calibration.mote.estimate == Estimate::Track {
+            return Err(refuse(
+                "room",
+                format!(
+                    "no track could begin in it: its nearest point is {nearest_m:.2} m ahead of a station, of at most \
+                     {TRACK_REACH_M}; estimate = \"fix\" under [mote] does without"
+                ),
+            ));
+        }
+        Ok(Held { volume, baked })
     };
     if let Some(volume) = calibration.room {
         return hold(volume);
@@ -52,7 +82,7 @@ pub fn bake(file: &str, calibration: &Calibration) -> Result<Held, Error> {
     for share in SHARES {
         let Some(volume) = shared_view(stations, share * reach(stations)) else { continue };
         let held = hold(volume);
-        if held.as_ref().is_ok_and(|held| matches!(held.baked.calib, Calib::Fast(_))) {
+        if held.as_ref().is_ok_and(Held::is_exact) {
             return held;
         }
         if widest.is_err() {
@@ -109,18 +139,38 @@ fn send(mote: &Mote) -> String {
     )
 }
 
+/// The shortest pulse of a laser in 1/8192 half turns.
+#[must_use]
+pub fn shortest_sweep(us: f64) -> u32 {
+    (us * 8.192 / HALF_TURN_MS).round() as u32
+}
+
 /// The age rule in whole half turns, at least one.
 #[must_use]
 pub fn max_age_half_turns(calibration: &Calibration) -> u16 {
     (calibration.mote.max_angle_age_ms / HALF_TURN_MS).round().max(1.0) as u16
 }
 
+/// A text as the rest of a line: nothing in it ends that line.
+fn in_line(text: &str) -> String {
+    text.replace(|c: char| c.is_control() || matches!(c, '\u{2028}' | '\u{2029}'), " ")
+}
+
 /// The constants that a binary includes.
 ///
 /// # Errors
-/// As [`bake`]; slots too near each other for a room with a key.
+/// As [`bake`] and [`source_of`].
+#[allow(dead_code, reason = "the build looks at what is held first")]
 pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
-    let solver = bake(file, calibration)?.baked.emit();
+    source_of(file, calibration, &bake(file, calibration)?)
+}
+
+/// The same of a room that is held already.
+///
+/// # Errors
+/// Slots too near each other for a room with a key.
+pub fn source_of(file: &str, calibration: &Calibration, held: &Held) -> Result<String, Error> {
+    let solver = held.baked.emit();
     let mote = calibration.mote;
     if mote.key.is_some() && mote.sends() == Send::Slotted && mote.report_every_half_turns < SEALED_HALF_TURNS {
         let what = format!(
@@ -152,10 +202,13 @@ pub fn source(file: &str, calibration: &Calibration) -> Result<String, Error> {
             column(position)
         )
     });
-    let provenance: String =
-        calibration.provenance.iter().map(|(key, value)| format!("// {key}: {}\n", value.replace('\n', " "))).collect();
+    let provenance: String = calibration
+        .provenance
+        .iter()
+        .map(|(key, value)| format!("// {}: {}\n", in_line(key), in_line(value)))
+        .collect();
     Ok(format!(
-        "{provenance}/// The room, as baked from `{file}`.
+        "{provenance}/// The room, as baked from `{}`.
 pub const CONFIG: lighthouse_mote::chain::Config = lighthouse_mote::chain::Config {{
     sweep: lighthouse_mote::sweep::Config {{
         lone: {lone},
@@ -179,6 +232,7 @@ pub const MOTE: u16 = {id};
 #[allow(dead_code, reason = \"a build without the feature has no use for it\")]
 pub const KEY: Option<[u8; 16]> = {key:?};
 ",
+        in_line(file),
         rotors[0],
         rotors[1],
         poses[0],
@@ -200,7 +254,7 @@ pub const KEY: Option<[u8; 16]> = {key:?};
             Some(Name::A) => "Some(lighthouse_mote::sweep::Station::A)",
             Some(Name::B) => "Some(lighthouse_mote::sweep::Station::B)",
         },
-        shortest_sweep = (mote.shortest_sweep_us * 8.192 / HALF_TURN_MS).round() as u32,
+        shortest_sweep = shortest_sweep(mote.shortest_sweep_us),
         stamp = match mote.sweep_edge {
             SweepEdge::Middle => "Middle",
             SweepEdge::Rise => "Rise",

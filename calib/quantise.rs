@@ -29,7 +29,7 @@ pub use sight::Dice;
 use super::solver::{self, Angle, Calib};
 use form::{ROWS, form};
 use plan::{Divide, Plan};
-use sight::{Sight, Sights, V, beyond, dot, length, mean, minus, scatter};
+use sight::{Range, Sight, Sights, V, beyond, dot, length, mean, minus, scatter};
 
 /// Where a station is and how it is turned.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,6 +74,20 @@ pub struct Baked {
     pub choice: String,
     /// What it achieves.
     pub measured: Measured,
+    /// How many times the errors that a fast form may have it was allowed: 1, or [`GENERAL_SLACK`] where no fast one
+    /// keeps to them.
+    pub slack: f64,
+    /// Where no track can begin.
+    pub out_of_reach: OutOfReach,
+}
+
+/// What of the volume is too far away for a track to begin, [`TRACK_REACH_M`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OutOfReach {
+    /// As a share of what both stations see.
+    pub share: f64,
+    /// How far ahead of the farther station the nearest point of the volume is, metres.
+    pub nearest_m: f64,
 }
 
 /// Why a room cannot be served.
@@ -83,6 +97,8 @@ pub struct Refusal {
     pub reason: String,
     /// The number in question.
     pub number: f64,
+    /// What those plans achieve that fit into integers; each is off by more than [`GENERAL_SLACK`] times what is allowed.
+    pub measured: Vec<Measured>,
 }
 
 impl core::fmt::Display for Refusal {
@@ -94,10 +110,28 @@ impl core::fmt::Display for Refusal {
 impl std::error::Error for Refusal {}
 
 fn refuse<T>(reason: impl Into<String>, number: f64) -> Result<T, Refusal> {
-    Err(Refusal { reason: reason.into(), number })
+    Err(Refusal { reason: reason.into(), number, measured: vec![] })
+}
+
+impl Measured {
+    /// Whether the errors are at most `slack` times what the fast form must keep, at a mean range in metres. A number that
+    /// is none is not.
+    #[must_use]
+    pub fn keeps(&self, slack: f64, range: f64) -> bool {
+        let within = |error: f64, per_m: f64| error <= slack * per_m * range;
+        within(self.rms_mm, RMS_MM_PER_M) && within(self.max_mm, MAX_MM_PER_M) && within(self.bias_um, BIAS_UM_PER_M)
+    }
 }
 
 impl Baked {
+    /// The same with what was tried in vain.
+    fn because(mut self, reasons: &[String]) -> Baked {
+        if !reasons.is_empty() {
+            self.choice += &format!(" ({})", reasons.join("; "));
+        }
+        self
+    }
+
     /// The calibration as a Rust expression, for `const CALIB: lighthouse_mote::fix::Calib = ...;`.
     #[must_use]
     pub fn emit(&self) -> String {
@@ -113,13 +147,18 @@ impl Baked {
 const RMS_MM_PER_M: f64 = 0.1 / 1.6;
 /// Largest error that the fast form must keep: 0.6 mm at 1.6 m.
 const MAX_MM_PER_M: f64 = 0.6 / 1.6;
+/// Mean error of an axis that it must keep: 10 um at 1.6 m.
+const BIAS_UM_PER_M: f64 = 10.0 / 1.6;
 /// Mismatch that the gate lets through, metres per metre of mean range: 0.12 m at 1.6 m, twelve times what 0.2 deg of
 /// noise makes, because a mote that moves adds its own.
 const GATE: f64 = 0.12 / 1.6;
 /// The gate of a small room, metres.
 const GATE_MIN: f64 = 0.12;
-/// The general form serves rooms with little parallax somewhere; it is allowed this many times the error.
-const GENERAL_SLACK: f64 = 4.0;
+/// The general form serves rooms with little parallax somewhere; it is allowed this many times the error, and so is a
+/// fast one that does better than it.
+pub const GENERAL_SLACK: f64 = 4.0;
+/// A track begins less than this ahead of both stations: `Pose::lights` of `src/track.rs`.
+pub const TRACK_REACH_M: f64 = 8.0;
 /// Noise of an angle for which the bake optimises, degrees.
 const NOISE_DEG: f64 = 0.2;
 /// Points that the choice is made on.
@@ -199,6 +238,14 @@ fn centred(mut calib: Calib, sights: &Sights) -> Calib {
     calib
 }
 
+/// What of the room lies farther ahead of a station than a track can begin.
+fn out_of_reach(room: &Room, sights: &[Sight]) -> OutOfReach {
+    let ahead = |s: &Sight| room.stations.map(|st| dot(st.rotation[2], minus(s.answer, st.position)));
+    let farther: Vec<f64> = sights.iter().map(|s| ahead(s).into_iter().fold(0.0, f64::max)).collect();
+    let beyond = farther.iter().filter(|m| **m >= TRACK_REACH_M).count();
+    OutOfReach { share: beyond as f64 / sights.len() as f64, nearest_m: Range::of(farther.into_iter()).min }
+}
+
 /// Whether the numbers are a room at all.
 fn check(room: &Room) -> Result<(), Refusal> {
     for station in room.stations {
@@ -243,43 +290,53 @@ pub fn bake(room: &Room) -> Result<Baked, Refusal> {
     let beyond = beyond(room, 10 * POINTS, &mut dice);
     let sights = Sights { clean, noisy, wild, beyond };
     let range = range(room, &sights.clean);
+    let out_of_reach = out_of_reach(room, &fresh[0]);
     let gate = (GATE * range).max(GATE_MIN);
 
     let mut reasons = vec![];
+    let mut formed: Vec<Baked> = vec![];
+    // Each round may also choose from those before.
     for (name, divides, slack) in [
         ("fast", [Divide::Row(0), Divide::Row(1)].as_slice(), 1.0),
         ("general", [Divide::Larger].as_slice(), GENERAL_SLACK),
+        ("fast where it can", [Divide::Most(0), Divide::Most(1)].as_slice(), GENERAL_SLACK),
     ] {
-        let mut best: Option<Baked> = None;
+        let mut round: Vec<(f64, Baked)> = vec![];
         for plan in [0, 1].into_iter().flat_map(|first| divides.iter().map(move |&divide| Plan { first, divide })) {
-            let along = format!("along the ray of station {}", ["A", "B"][plan.first]);
+            let along = format!("{name}: along the ray of station {}", ["A", "B"][plan.first]);
             let by = match plan.divide {
-                Divide::Row(row) => ROWS[row],
+                Divide::Row(row) | Divide::Most(row) => ROWS[row],
                 Divide::Larger => "the larger parallax",
             };
+            let choice = format!("{along}, dividing by {by} of the other");
             match form(room, plan, &sights, gate) {
                 Ok(calib) => {
                     let calib = centred(calib, &sights);
-                    let (_, measured) = measure(&calib, &sights.noisy);
-                    if best.as_ref().is_none_or(|b| measured.rms_mm < b.measured.rms_mm) {
-                        let choice = format!("{name}: {along}, dividing by {by} of the other");
-                        best = Some(Baked { calib, choice, measured });
-                    }
+                    let chosen_on = measure(&calib, &sights.noisy).1.rms_mm;
+                    round
+                        .push((chosen_on, Baked { calib, choice, measured: Measured::default(), slack, out_of_reach }));
                 }
-                Err(refusal) => reasons.push(format!("{name} {along}: {refusal}")),
+                Err(refusal) => reasons.push(format!("{choice}: {refusal}")),
             }
         }
-        if let Some(mut best) = best {
-            best.measured = verify(&best.calib, &fresh);
-            let Measured { rms_mm, max_mm, .. } = best.measured;
-            if rms_mm <= slack * RMS_MM_PER_M * range && max_mm <= slack * MAX_MM_PER_M * range {
-                if !reasons.is_empty() {
-                    best.choice += &format!(" ({})", reasons.join("; "));
-                }
-                return Ok(best);
+        round.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (_, mut baked) in round {
+            baked.measured = verify(&baked.calib, &fresh);
+            if slack == 1.0 && baked.measured.keeps(slack, range) {
+                return Ok(baked.because(&reasons));
             }
-            reasons.push(format!("{name} form off by {rms_mm:.3} mm RMS, {max_mm:.2} at most"));
+            let Measured { rms_mm, max_mm, bias_um, .. } = baked.measured;
+            reasons.push(format!(
+                "{}: off by {rms_mm:.3} mm RMS, {max_mm:.2} at most, {bias_um:.1} um in the mean of an axis",
+                baked.choice
+            ));
+            formed.push(baked);
+        }
+        let held = formed.iter().filter(|baked| slack > 1.0 && baked.measured.keeps(slack, range));
+        if let Some(best) = held.min_by(|a, b| a.measured.rms_mm.total_cmp(&b.measured.rms_mm)) {
+            return Ok(Baked { slack, ..best.clone() }.because(&reasons));
         }
     }
-    refuse(format!("{}; mean range in metres", reasons.join("; ")), range)
+    let measured = formed.into_iter().map(|baked| baked.measured).collect();
+    Err(Refusal { reason: format!("{}; mean range in metres", reasons.join("; ")), number: range, measured })
 }

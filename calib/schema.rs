@@ -70,6 +70,18 @@ pub enum FactorySource {
     Received,
 }
 
+impl FactorySource {
+    /// As a room file has it.
+    #[must_use]
+    #[allow(dead_code, reason = "for those who write rooms")]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::File => "file",
+            Self::Received => "received",
+        }
+    }
+}
+
 /// The factory calibration of one rotor, radians.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rotor {
@@ -77,7 +89,8 @@ pub struct Rotor {
     pub phase: f64,
     /// Tilt of the laser plane.
     pub tilt: f64,
-    /// Curve of the laser plane.
+    /// Curve of the laser plane: read so that a file may hold all that a station sends, and not applied. It is tiny, and the
+    /// public implementations disagree about its sign.
     pub curve: f64,
     /// Phase of the once-per-turn term.
     pub gibphase: f64,
@@ -334,7 +347,7 @@ fn calibration(source: Source<'_>, parsed: &Spanned<DeTable<'_>>) -> Result<Cali
 
 /// The words of a room file.
 const FACTORY_SOURCES: [(&str, FactorySource); 2] =
-    [("file", FactorySource::File), ("received", FactorySource::Received)];
+    [(FactorySource::File.name(), FactorySource::File), (FactorySource::Received.name(), FactorySource::Received)];
 const NAMES: [(&str, Name); 2] = [("A", Name::A), ("B", Name::B)];
 const SWEEP_EDGES: [(&str, SweepEdge); 2] = [("middle", SweepEdge::Middle), ("rise", SweepEdge::Rise)];
 const ESTIMATES: [(&str, Estimate); 3] =
@@ -353,6 +366,9 @@ const GIBMAG_LIMIT_RAD: f64 = 0.03;
 /// No angle is better than a fifth of a milliradian (the 2020 recording's jitter alone is half of one), and the tracker
 /// holds less than 2^11 / 2^18 rad.
 pub const ANGLE_NOISE_LIMITS_MRAD: (f64, f64) = (0.2, 7.8);
+
+/// Longer pulses than the longest of these are flashes, us.
+pub const SHORTEST_SWEEP_LIMITS_US: std::ops::RangeInclusive<f64> = 0.0..=50.0;
 
 fn station(both: &Table<'_>, name: &str) -> Result<Station, Error> {
     let table = both.need_table(name)?;
@@ -492,8 +508,7 @@ fn mote(table: &Table<'_>, usual: Mote) -> Result<Mote, Error> {
         angle_noise_mrad,
         factory: table.optional("factory", |value, at| at.choice(value, &FACTORY_SOURCES))?.unwrap_or(usual.factory),
         lone: table.optional("lone", |value, at| at.choice(value, &NAMES))?.or(usual.lone),
-        // Longer ones are flashes.
-        shortest_sweep_us: number("shortest_sweep_us", usual.shortest_sweep_us, 0.0..=50.0, "us")?,
+        shortest_sweep_us: number("shortest_sweep_us", usual.shortest_sweep_us, SHORTEST_SWEEP_LIMITS_US, "us")?,
         sweep_edge: table
             .optional("sweep_edge", |value, at| at.choice(value, &SWEEP_EDGES))?
             .unwrap_or(usual.sweep_edge),

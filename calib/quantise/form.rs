@@ -11,7 +11,7 @@ use super::{Refusal, Room, Station, fixed, q_for, refuse, unfixed};
 
 /// The rows of a station.
 pub(super) const ROWS: [&str; 2] = ["azimuth", "elevation"];
-/// Share of the volume in which the general form may be blind.
+/// Share of the volume in which a form may be blind where none serves all of it.
 const BLIND: f64 = 0.05;
 
 /// Quantises x kx + y ky + k into a sum in `q` with kx and ky in `q_k`: what rounding takes from kx and ky on the
@@ -48,6 +48,24 @@ impl Group {
         Ok(Group { frame, calm, seen, wild, beyond })
     }
 
+    /// The sights whose parallax in this row, turned so that most of it is positive, is large enough to divide by.
+    fn most(room: &Room, first: usize, rows: [usize; 2], sights: &Sights) -> Result<Group, Refusal> {
+        let mut frame = Frame::new(room, first, rows);
+        if 2 * sights.clean.iter().filter(|s| frame.see(s).a3 < 0.0).count() > sights.clean.len() {
+            frame.flip();
+        }
+        let see = |sights: &[Sight]| sights.iter().map(|s| frame.see(s)).collect::<Vec<_>>();
+        let (calm, seen) = (see(&sights.clean), see(&sights.noisy));
+        let (wild, beyond) = (see(&sights.wild), see(&sights.beyond));
+        let mut group = Group { frame, calm, seen, wild, beyond };
+        let least = least(parallax_format(std::slice::from_ref(&group)));
+        for seen in [&mut group.calm, &mut group.seen, &mut group.wild] {
+            seen.retain(|s| s.a3 >= least);
+        }
+        ensure_sighted(std::slice::from_ref(&group), sights)?;
+        Ok(group)
+    }
+
     /// The sights whose parallax is larger in this row than in the other, and at least `least`.
     fn part(room: &Room, first: usize, rows: [usize; 2], sights: &Sights, least: f64) -> Group {
         let frame = Frame::new(room, first, rows);
@@ -70,21 +88,33 @@ fn parallax_format(groups: &[Group]) -> i32 {
     q_for(inside.magnitude()).min(q_for(outside.magnitude()) + 1).min(32)
 }
 
-/// The rows to divide by under `plan`, and the sights for which each does.
-fn groups(room: &Room, plan: Plan, sights: &Sights) -> Result<Vec<Group>, Refusal> {
-    if let Divide::Row(row) = plan.divide {
-        return Ok(vec![Group::whole(room, plan.first, [row, 1 - row], sights)?]);
-    }
-    let all = [[0, 1], [1, 0]].map(|rows| Group::part(room, plan.first, rows, sights, 0.0));
-    // As small as the reciprocal takes.
-    let least = solver::LEAST * 2f64.powi(30 - parallax_format(&all)) / (1.0 - 2.0 * MARGIN);
-    let groups: Vec<Group> =
-        [[0, 1], [1, 0]].into_iter().map(|rows| Group::part(room, plan.first, rows, sights, least)).collect();
+/// The least parallax that the reciprocal takes, at Q format `q_a`.
+fn least(q_a: i32) -> f64 {
+    solver::LEAST * 2f64.powi(30 - q_a) / (1.0 - 2.0 * MARGIN)
+}
+
+/// Refuses groups that leave out too much of the volume.
+fn ensure_sighted(groups: &[Group], sights: &Sights) -> Result<(), Refusal> {
     let served: usize = groups.iter().map(|g| g.seen.len()).sum();
     let blind = 1.0 - served as f64 / sights.noisy.len() as f64;
     if blind > BLIND {
         return refuse("the rays are too close to parallel over a share of the volume of", blind);
     }
+    Ok(())
+}
+
+/// The rows to divide by under `plan`, and the sights for which each does.
+fn groups(room: &Room, plan: Plan, sights: &Sights) -> Result<Vec<Group>, Refusal> {
+    match plan.divide {
+        Divide::Row(row) => return Ok(vec![Group::whole(room, plan.first, [row, 1 - row], sights)?]),
+        Divide::Most(row) => return Ok(vec![Group::most(room, plan.first, [row, 1 - row], sights)?]),
+        Divide::Larger => {}
+    }
+    let all = [[0, 1], [1, 0]].map(|rows| Group::part(room, plan.first, rows, sights, 0.0));
+    let least = least(parallax_format(&all));
+    let groups: Vec<Group> =
+        [[0, 1], [1, 0]].into_iter().map(|rows| Group::part(room, plan.first, rows, sights, least)).collect();
+    ensure_sighted(&groups, sights)?;
     if let Some(group) = groups.iter().find(|g| g.wild.len() < 300) {
         return refuse("too few points divide by the other row", group.wild.len() as f64);
     }
@@ -111,7 +141,7 @@ impl<'a> View<'a> {
             return refuse("the parallax varies too much: its least, when its greatest is between 1 and 2", normal);
         }
         // Beyond the volume every point must come out right, too, wherever its parallax lets it through.
-        let positive = matches!(plan.divide, Divide::Row(_));
+        let positive = plan.divide != Divide::Larger;
         let passes = |s: &&Seen| s.a3.abs() >= least && !(positive && s.a3 < 0.0);
         let passing = groups.iter().flat_map(|g| &g.beyond).filter(passes).collect();
         Ok(View { groups, passing, least, q_a })
@@ -234,7 +264,7 @@ pub(super) fn form(room: &Room, plan: Plan, sights: &Sights, gate: f64) -> Resul
     let lost = frame.t[2] / unit - unfixed(baseline_depth, 16);
     // m is cut to Q15, which makes the mismatch too large by half a unit of it times d3.
     let cut = match plan.divide {
-        Divide::Row(_) => 2f64.powi(-16) * view.centre(|s| s.d3) / unit,
+        Divide::Row(_) | Divide::Most(_) => 2f64.powi(-16) * view.centre(|s| s.d3) / unit,
         Divide::Larger => 0.0,
     };
     let baseline = [

@@ -10,6 +10,8 @@ use super::{Room, Station};
 pub(super) enum Divide {
     /// This one: azimuth or elevation.
     Row(usize),
+    /// This one, where its parallax is large enough; nowhere else.
+    Most(usize),
     /// Whichever has the larger parallax.
     Larger,
 }

@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 #[path = "../../calib/quantise.rs"]
 mod quantise;
 
-use quantise::{Baked, Dice, Room, Station, bake};
+use quantise::{Baked, Dice, GENERAL_SLACK, Room, Station, bake};
 
 /// Half of 2^20: a right angle in angle units.
 const RIGHT_ANGLE: f64 = 524_288.0;
@@ -176,11 +176,11 @@ fn metres(solution: &Solution) -> Vector3<f64> {
     Vector3::from(solution.position.map(|x| f64::from(x) / 65536.0))
 }
 
-fn score(case: &Case, noise_deg: f64) -> Score {
+fn score(case: &Case, noise_deg: f64, points: u32) -> Score {
     let mut dice = Dice(0x1234_5678_9abc_def1);
     let mut score = Score::default();
     let room = &case.room;
-    while score.fixes + score.rejects.iter().sum::<u32>() < 10_000 {
+    while score.fixes + score.rejects.iter().sum::<u32>() < points {
         let point = random_point(room, &mut dice);
         let Some(angles) = angles_of(room, point) else {
             continue;
@@ -214,11 +214,11 @@ fn score(case: &Case, noise_deg: f64) -> Score {
 #[test]
 fn every_room_agrees_with_least_squares_in_f64() {
     for case in CASES.iter() {
-        let slack = if matches!(case.baked.calib, Calib::Fast(_)) { 1.0 } else { 4.0 };
+        let slack = case.baked.slack;
         // The general form is blind where the rays are close to parallel.
         let rejects = if slack > 1.0 { 500 } else { 10 };
         for noise in [0.0, 0.2] {
-            let s = score(case, noise);
+            let s = score(case, noise, 10_000);
             let name = case.name;
             println!(
                 "{name:20} noise {noise}: rms {:.3} max {:.2} mean {:+.4} {:+.4} {:+.4} range {:.2} rejects {:?}",
@@ -230,6 +230,98 @@ fn every_room_agrees_with_least_squares_in_f64() {
             assert!(s.mean.iter().all(|m| m.abs() <= 0.01 * scale), "{name}: bias {:?}", s.mean);
             assert!(s.rejects.iter().sum::<u32>() <= rejects, "{name}: rejects {:?}", s.rejects);
         }
+    }
+}
+
+/// Two stations that somebody put up without much thought, around a volume that both look at.
+fn any_room(seed: u64) -> Room {
+    let mut dice = Dice(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(seed + 1));
+    // The first numbers of neighbouring seeds are alike.
+    for _ in 0..8 {
+        dice.unit();
+    }
+    let mut between = |least: f64, most: f64| least + (most - least) * dice.unit();
+    let half = [between(0.25, 1.6), between(0.25, 1.6), between(0.2, 1.0)];
+    let middle = [0.0, 0.0, between(0.6, 1.2)];
+    let mut station = || {
+        let (bearing, far) = (between(0.0, core::f64::consts::TAU), between(1.2, 4.5));
+        let position = [far * bearing.cos(), far * bearing.sin(), between(1.0, 3.0)];
+        let aim = [0, 1, 2].map(|i| middle[i] + half[i] * between(-0.3, 0.3) - position[i]);
+        Station { rotation: looking(aim, between(-0.8, 0.8).to_degrees()), position }
+    };
+    let stations = [station(), station()];
+    Room { stations, min: [0, 1, 2].map(|i| middle[i] - half[i]), max: [0, 1, 2].map(|i| middle[i] + half[i]) }
+}
+
+/// What is promised holds at points that neither the choice nor the bake's own verification knew, but for what another
+/// sample of them may differ by: a tenth in the RMS, half in the largest of 4,000, and in the mean four of its
+/// standard errors, RMS / sqrt(3 * 4,000) each.
+#[test]
+fn any_room_is_served_as_promised_or_refused_for_a_reason() {
+    let (mut exact, mut loose, mut refused) = (0, 0, 0);
+    for seed in 0..24 {
+        let room = any_room(seed);
+        match bake(&room) {
+            Ok(baked) => {
+                let slack = baked.slack;
+                assert!(slack == 1.0 && matches!(baked.calib, Calib::Fast(_)) || slack == GENERAL_SLACK, "{slack}");
+                if slack == 1.0 {
+                    exact += 1
+                } else {
+                    loose += 1
+                }
+                let case = Case { name: "any", room, baked };
+                for noise in [0.0, 0.2] {
+                    let s = score(&case, noise, 4000);
+                    let scale = slack * s.range / 1.6;
+                    let (said, choice) = (case.baked.measured, &case.baked.choice);
+                    assert!(said.keeps(slack, s.range * 1.02), "{seed}: {said:?} at {:.2} m, {choice}", s.range);
+                    assert!(s.rms <= 1.1 * 0.1 * scale, "{seed}: {} mm RMS, {choice}", s.rms);
+                    assert!(s.max <= 1.5 * 0.6 * scale, "{seed}: {} mm at most, {choice}", s.max);
+                    let chance = 4.0 * s.rms / (3.0 * f64::from(s.fixes)).sqrt();
+                    assert!(s.mean.iter().all(|m| m.abs() <= 0.01 * scale + chance), "{seed}: {:?}, {choice}", s.mean);
+                    // A twentieth of the bake's own points may be blind.
+                    let rejects: u32 = s.rejects.iter().sum();
+                    assert!(rejects <= if slack == 1.0 { 8 } else { 250 }, "{seed}: {:?}, {choice}", s.rejects);
+                }
+            }
+            Err(refusal) => {
+                refused += 1;
+                if refusal.reason.contains("inside the volume") {
+                    continue;
+                }
+                // Four plans that divide by one row all over the volume, two by the larger, four by one row where it can.
+                let each = ["fast: along", "general: along", "fast where it can: along"];
+                let tried = each.map(|name| refusal.reason.matches(name).count());
+                assert_eq!(tried, [4, 2, 4], "{seed}: {refusal}");
+                for measured in &refusal.measured {
+                    assert!(!measured.keeps(GENERAL_SLACK, refusal.number), "{seed}: {measured:?} would do: {refusal}");
+                }
+            }
+        }
+    }
+    println!("{exact} exact, {loose} loose, {refused} refused");
+    // Of 250 such rooms 152 are exact, 70 loose, 28 refused.
+    assert!(exact >= 12 && loose >= 3 && refused <= 6, "{exact} exact, {loose} loose, {refused} refused");
+}
+
+/// Rooms in which no row has enough parallax everywhere, one has it nearly everywhere, and the other helps nobody.
+#[test]
+fn a_room_in_which_one_row_serves_nearly_all_of_the_volume_is_served() {
+    for seed in [1089, 1115] {
+        let baked = bake(&any_room(seed)).expect("a room that can be served");
+        assert!(baked.choice.starts_with("fast where it can") && baked.slack == GENERAL_SLACK, "{}", baked.choice);
+        assert!(matches!(baked.calib, Calib::Fast(_)));
+    }
+}
+
+/// Rooms that the fast form holds at twice its error or so, and in which the other row serves nobody.
+#[test]
+fn a_room_that_the_fast_form_alone_can_hold_gets_it_though_it_is_off_by_more() {
+    for seed in [1030, 1201] {
+        let baked = bake(&any_room(seed)).expect("a room that can be served");
+        assert!(matches!(baked.calib, Calib::Fast(_)) && baked.slack == GENERAL_SLACK, "{}", baked.choice);
+        assert!(baked.choice.matches("too few points divide by the other row").count() == 2, "{}", baked.choice);
     }
 }
 

@@ -28,7 +28,9 @@ pub(crate) fn bake(calib: &Path) -> Result<()> {
     for (station, name) in calibration.stations.iter().zip(["A", "B"]) {
         println!("  station {name} at {} looks along {}", place(station.position), place(station.rotation[2]));
     }
-    let firmware::Held { volume: room, baked } = firmware::bake(&name, &calibration)?;
+    let held = firmware::bake(&name, &calibration)?;
+    let warning = held.warning(&calibration.mote);
+    let firmware::Held { volume: room, baked } = held;
     let whence = if calibration.room.is_some() { "declared" } else { "both stations light it" };
     println!("  room {} to {} ({whence})", place(room.min), place(room.max));
     println!("  solver: {}", baked.choice);
@@ -42,6 +44,9 @@ pub(crate) fn bake(calib: &Path) -> Result<()> {
         measured.bias_um,
         100.0 * measured.rejected
     );
+    if let Some(warning) = warning {
+        println!("  {warning}");
+    }
     let Noise { least_squares_mm, homogeneous_mm } = noise(&calibration, [room.min, room.max])?;
     println!(
         "  {NOISE_DEG} deg of noise moves least squares by {least_squares_mm:.0} mm RMS, and the singular vector of the \

@@ -8,7 +8,8 @@
 //! # Design
 //! Everything that is asked for is read before anything is solved, and every file appears whole or not at all. A room
 //! file that this tool wrote is replaced, and the one before stays beside it as `.toml~`; a file of anybody else's is
-//! not touched without `--force`. What stands under `[mote]` is the user's and is carried over. A room that cannot be
+//! not touched without `--force`. What stands under `[mote]` is the user's and is carried over, and so are the stations'
+//! serial numbers and whose factory terms are used. A room that cannot be
 //! trusted leaves a report and no room file.
 //!
 //! # What can go wrong
@@ -29,7 +30,7 @@ pub mod sweeps;
 pub mod truth;
 
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader, IsTerminal, Write};
+use std::io::{self, BufRead, BufReader, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -39,7 +40,7 @@ use serde_json::json;
 use crate::calib::schema::{self, Calibration};
 use crate::whole;
 use judgement::Grade;
-use solve::{Choice, Options, Rotor};
+use solve::{Choice, Options, Rotor, Solution};
 
 /// What a calibration may be told.
 #[derive(clap::Args, Clone, Debug)]
@@ -115,10 +116,28 @@ pub struct Person<'a> {
     pub terminal: bool,
 }
 
+/// Somebody who may stop reading: the room is worth having all the same.
+struct Leaving<W>(W);
+
+/// What nobody reads counts as written.
+fn unread<T>(done: io::Result<T>, as_written: T) -> io::Result<T> {
+    done.or_else(|error| if error.kind() == io::ErrorKind::BrokenPipe { Ok(as_written) } else { Err(error) })
+}
+
+impl<W: Write> Write for Leaving<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        unread(self.0.write(bytes), bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        unread(self.0.flush(), ())
+    }
+}
+
 /// Calibrates for the person at the terminal.
 pub fn calibrate(arguments: &Arguments) -> Result<()> {
-    let (mut stdin, mut stdout) = (std::io::stdin().lock(), std::io::stdout());
-    let terminal = stdout.is_terminal();
+    let terminal = io::stdout().is_terminal();
+    let (mut stdin, mut stdout) = (io::stdin().lock(), Leaving(io::stdout()));
     if arguments.frames.as_deref() == Some(Path::new("-")) {
         drop(stdin);
         // The standard input brings frames, so the person is asked at the terminal itself.
@@ -126,7 +145,7 @@ pub fn calibrate(arguments: &Arguments) -> Result<()> {
         let person = Person { input: &mut BufReader::new(tty), output: &mut stdout, terminal };
         return run(arguments, person);
     }
-    let terminal = terminal && std::io::stdin().is_terminal();
+    let terminal = terminal && io::stdin().is_terminal();
     run(arguments, Person { input: &mut stdin, output: &mut stdout, terminal })
 }
 
@@ -138,6 +157,7 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
         let folder = whole::folder(file);
         fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
         ensure!(!file.is_dir(), "{}: is a folder", file.display());
+        whole::writable(file)?;
     }
     let mut gathered = match (&arguments.recording, &arguments.points) {
         (Some(recording), _) => gather::walk(arguments, recording)?,
@@ -179,7 +199,9 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
         mote.insert("angle_noise_mrad".to_string(), room::angle_noise_mrad(&solution.held_out).into());
     }
     let name = arguments.output.display().to_string();
-    let room = room::write(&name, &solution.stations, &path, &mote, &provenance)?;
+    let said = gathered.notes.len();
+    let told = told(earlier.as_ref(), &solution, &mut gathered.notes);
+    let room = room::write(&name, &solution.stations, &told, &path, &mote, &provenance)?;
 
     let evidence: Vec<String> = solution.evidence.iter().chain(&gathered.notes).cloned().collect();
     let facts = account::facts(&gathered, &solution, &figures, &room);
@@ -210,6 +232,9 @@ pub fn run(arguments: &Arguments, mut person: Person<'_>) -> Result<()> {
     writeln!(out, "{}", account::table(&figures, &facts))?;
     for sentence in &solution.evidence {
         writeln!(out, "{sentence}")?;
+    }
+    for note in &gathered.notes[said..] {
+        writeln!(out, "{note}")?;
     }
     writeln!(out, "\n{}\nreport: {}", judgement.sentence, page.display())?;
     ensure!(
@@ -248,19 +273,42 @@ fn earlier(output: &Path, force: bool) -> Result<Option<Calibration>> {
 
 /// The stations' own factory terms, where the room that is to be replaced has motes use those that are received: poses
 /// that were fitted with others would be wrong as soon as they come.
-fn own_terms(earlier: Option<&Calibration>, notes: &mut Vec<String>) -> Option<[[Rotor; 2]; 2]> {
-    let room = earlier.filter(|room| room.received() == [true; 2])?;
-    let terms = room.stations.map(|station| station.factory);
-    if terms.as_flattened().iter().any(|rotor| *rotor != Rotor::default()) {
-        notes.push("factory = \"received\": the stations' own terms are taken from the room before".to_string());
-        return Some(terms);
+fn own_terms(earlier: Option<&Calibration>, notes: &mut Vec<String>) -> [Option<[Rotor; 2]>; 2] {
+    let Some(room) = earlier else { return [None; 2] };
+    let received = room.received();
+    std::array::from_fn(|s| {
+        let (name, terms) = (["A", "B"][s], room.stations[s].factory);
+        if !received[s] {
+            return None;
+        }
+        if terms.iter().any(|rotor| *rotor != Rotor::default()) {
+            notes.push(format!("station {name}, factory = \"received\": its own terms are taken from the room before"));
+            return Some(terms);
+        }
+        notes.push(format!(
+            "station {name}, factory = \"received\", but the room before lacks its own terms: what is fitted instead will \
+             not go with what motes receive; write them under [station.{name}.factory] first"
+        ));
+        None
+    })
+}
+
+/// What the room that is to be replaced says of its stations, if they are still the same.
+fn told(earlier: Option<&Calibration>, solution: &Solution, notes: &mut Vec<String>) -> [room::Told; 2] {
+    let Some(room) = earlier else { return Default::default() };
+    let told = room::Told::of(room);
+    let ids = told.each_ref().map(|told| told.id);
+    if ids == [None; 2] {
+        return told;
     }
-    notes.push(
-        "factory = \"received\", but the room before lacks the stations' own terms: what is fitted instead will not go \
-         with what motes receive; write them under [station.A.factory] and [station.B.factory] first"
-            .to_string(),
-    );
-    None
+    if solve::exchanged(&solution.stations, &gather::stood(room)).is_some() {
+        notes.push("the stations changed places, so their serial numbers are not kept".to_string());
+        return told.map(|told| room::Told { id: None, ..told });
+    }
+    for (name, id) in ["A", "B"].into_iter().zip(ids) {
+        notes.extend(id.map(|id| format!("station {name}'s serial number is {id}, as in the room before")));
+    }
+    told
 }
 
 /// The line that shows how far the solver is.

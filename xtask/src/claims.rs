@@ -3,7 +3,8 @@
 //! `tests/expected/claims.toml` lists sentences of the documents with names in place of their numbers. A number is looked
 //! up in the summary that a command has just written, or read off the code that sets it, and the document has to say
 //! exactly that. A sentence with plain numbers tells what somebody else has set, a standard or a data sheet: it only has
-//! to stand there. A block is a part of a command's output that a document shows as it was printed.
+//! to stand there. A block is a part of a command's output that a document shows as it was printed, a picture one that
+//! it has drawn.
 //!
 //! What can go wrong: a figure has moved, so that a text is no longer true. The error shows what the text says and what
 //! it would have to say; `--write` puts the numbers in. A number that no sentence of the list covers is an error too, in
@@ -88,6 +89,18 @@ struct List {
     claims: BTreeMap<String, Vec<String>>,
     /// Output that a document shows.
     block: Vec<Block>,
+    /// Pictures that a document shows.
+    picture: Vec<Picture>,
+}
+
+/// A picture of the documents that a command draws.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Picture {
+    file: String,
+    source: String,
+    /// Where that source leaves it.
+    drawn: String,
 }
 
 /// A fenced part of a document that is a command's output.
@@ -141,6 +154,9 @@ pub(crate) fn claims(arguments: &Arguments) -> Result<()> {
         let document = documents.get_mut(&block.file).with_context(|| format!("{LIST}: {} is none", block.file))?;
         document.show(block, &known, arguments.write, &mut verdict)?;
     }
+    for picture in &list.picture {
+        picture.hold(&known, arguments.write, &mut verdict)?;
+    }
     if arguments.write {
         for (file, document) in &documents {
             std::fs::write(root().join(file), &document.text).with_context(|| file.clone())?;
@@ -154,7 +170,7 @@ pub(crate) fn claims(arguments: &Arguments) -> Result<()> {
             writeln!(verdict.wrong, "{file}:{line}: {number} is in no sentence of {LIST}")?;
         }
     }
-    println!("{} sentences and blocks say what is so", verdict.right);
+    println!("{} sentences, blocks and pictures say what is so", verdict.right);
     for (name, files) in &verdict.unknown {
         let places: BTreeSet<&str> = files.iter().map(String::as_str).collect();
         let places = places.into_iter().collect::<Vec<_>>().join(", ");
@@ -166,6 +182,28 @@ pub(crate) fn claims(arguments: &Arguments) -> Result<()> {
         verdict.wrong
     );
     Ok(())
+}
+
+impl Picture {
+    /// Whether the document's is the one that was drawn; with `write` it becomes that.
+    fn hold(&self, known: &Known, write: bool, verdict: &mut Verdict) -> Result<()> {
+        let Picture { file, source, drawn } = self;
+        if !known.has(source) {
+            verdict.unknown.entry(source.clone()).or_default().push(file.clone());
+            return Ok(());
+        }
+        let read = |file: &str| std::fs::read(root().join(file)).with_context(|| file.to_string());
+        let now = read(drawn)?;
+        if read(file)? == now {
+            verdict.right += 1;
+            return Ok(());
+        }
+        writeln!(verdict.wrong, "{file} is not the picture that {source} draws, {drawn}")?;
+        if write {
+            std::fs::write(root().join(file), now).with_context(|| file.clone())?;
+        }
+        Ok(())
+    }
 }
 
 impl List {
@@ -189,6 +227,7 @@ impl List {
     fn sources_named(&self) -> Result<BTreeSet<String>> {
         let mut named: BTreeSet<String> =
             self.block.iter().filter_map(|block| Some(block.is.split_once('/')?.0.to_string())).collect();
+        named.extend(self.picture.iter().map(|picture| picture.source.clone()));
         for text in self.claims.values().flatten() {
             let sentence = Sentence::parse(text).with_context(|| format!("{LIST}: {text:?}"))?;
             named.extend(sentence.numbers.iter().filter_map(Number::source).map(str::to_string));

@@ -5,8 +5,10 @@
 //! What can go wrong: something is missing on the computer. A verb first gets what it needs, and says so; what it
 //! cannot get itself it names.
 
+use std::panic::{self, PanicHookInfo};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Parser, Subcommand};
 use xtask::flash;
@@ -63,7 +65,7 @@ enum Verb {
     ///
     /// Writes the room (calib/lab.toml), checked and ready for bake, run and the build, and a report to look at
     /// (target/calibrate/report.html) that says whether it can be trusted. A room file that this wrote before is
-    /// replaced and kept as .toml~; what stands under its [mote] is carried over.
+    /// replaced and kept as .toml~; what stands under its [mote] is carried over, and so are its stations' serial numbers.
     Calibrate(xtask::calibrate::Arguments),
     /// Look at a recording of pulses as the mote does: is there a cycle in it, who flashes, what do the stations say
     ///
@@ -160,7 +162,37 @@ enum Verb {
     },
 }
 
+/// Whoever read the standard output has gone.
+static READER_GONE: AtomicBool = AtomicBool::new(false);
+
+/// Whether `println!` found nobody who reads: the system's error 32.
+fn is_reader_gone(panic: &PanicHookInfo<'_>) -> bool {
+    let what = panic.payload_as_str().unwrap_or_default();
+    what.starts_with("failed printing to stdout") && what.ends_with("(os error 32)")
+}
+
+/// Does what was asked. Where the standard output is closed, as `head` does, the verb ends there, quietly and well: it
+/// unwinds, so that its children and files are left as after any other error.
 fn main() -> ExitCode {
+    let usual = panic::take_hook();
+    panic::set_hook(Box::new(move |panic| {
+        if is_reader_gone(panic) {
+            READER_GONE.store(true, Ordering::Relaxed);
+        }
+        // Threads that are waited for panic in turn.
+        if !READER_GONE.load(Ordering::Relaxed) {
+            usual(panic);
+        }
+    }));
+    match panic::catch_unwind(verb) {
+        Ok(code) => code,
+        Err(_) if READER_GONE.load(Ordering::Relaxed) => ExitCode::SUCCESS,
+        Err(panic) => panic::resume_unwind(panic),
+    }
+}
+
+/// One verb.
+fn verb() -> ExitCode {
     let done = match Arguments::parse().verb {
         Verb::Run(arguments) => run::run(&arguments).map(|()| 0),
         Verb::Bake { calib } => bake::bake(&calib).map(|()| 0),

@@ -1,15 +1,16 @@
 //! The calibration's solver held against OpenCV's on simulated rooms.
 //!
-//! A solver that is clearly worse than OpenCV's is an error.
+//! A solver that is worse than OpenCV's is an error.
 //!
 //! What can go wrong: no Python, or no way to get its packages. That is said, and is no failure: the solver's own
 //! accuracy is asserted by a test that needs neither.
 
+use std::panic::resume_unwind;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 use xtask::calibrate::solve::rooms::{Kind, Simulated, simulate};
 use xtask::calibrate::solve::{Choice, Options, Station, solve};
@@ -38,8 +39,10 @@ pub(crate) fn oracle(rooms: u64) -> Result<()> {
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
     let mut solved: Vec<(u64, Value)> = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
-        workers.into_iter().filter_map(|worker| worker.join().ok()).flatten().collect()
+        let joined = workers.into_iter().map(|worker| worker.join().unwrap_or_else(|panic| resume_unwind(panic)));
+        joined.flatten().collect()
     });
+    ensure!(solved.len() as u64 == rooms, "{} of {rooms} rooms were solved", solved.len());
     solved.sort_by_key(|room| room.0);
     let solved: Vec<Value> = solved.into_iter().map(|room| room.1).collect();
     let file = folder.join("rooms.json");

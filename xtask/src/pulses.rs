@@ -25,6 +25,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use lighthouse_mote::sweep;
 
+use crate::calib::{firmware, schema};
 use findings::Findings;
 use play::Player;
 use table::Table;
@@ -47,9 +48,24 @@ pub struct Arguments {
     /// Which station it is, where only one is seen
     #[arg(long, value_enum, value_name = "STATION", ignore_case = true)]
     pub lone: Option<Lone>,
+    /// Which moment of a laser's pulse is the sweep: rise for receivers whose fall comes at any time
+    #[arg(long, value_enum, value_name = "MOMENT", default_value = "middle")]
+    pub sweep_edge: SweepEdge,
+    /// The shortest pulse of a laser that counts, us
+    #[arg(long, value_name = "US", default_value_t = 1.0, value_parser = shortest)]
+    pub shortest_sweep_us: f64,
     /// One JSON object instead, for programs
     #[arg(long)]
     pub json: bool,
+}
+
+/// The moment of a laser's pulse that counts as the sweep.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SweepEdge {
+    /// Half way between both edges.
+    Middle,
+    /// The first edge.
+    Rise,
 }
 
 /// A station that is seen alone.
@@ -59,6 +75,17 @@ pub enum Lone {
     A,
     /// The other.
     B,
+}
+
+fn shortest(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(us) if schema::SHORTEST_SWEEP_LIMITS_US.contains(&us) => Ok(us),
+        Ok(us) => {
+            let limits = schema::SHORTEST_SWEEP_LIMITS_US;
+            Err(format!("{us} us is not in {} ..= {}", limits.start(), limits.end()))
+        }
+        Err(error) => Err(error.to_string()),
+    }
 }
 
 fn rate(text: &str) -> Result<f64, String> {
@@ -79,7 +106,12 @@ pub fn understand(arguments: &Arguments, mut progress: impl FnMut(f64)) -> Resul
         Lone::A => sweep::Station::A,
         Lone::B => sweep::Station::B,
     });
-    let mut player = Player::new(lone)?;
+    let stamp = match arguments.sweep_edge {
+        SweepEdge::Middle => sweep::Stamp::Middle,
+        SweepEdge::Rise => sweep::Stamp::Rise,
+    };
+    let shortest_sweep = firmware::shortest_sweep(arguments.shortest_sweep_us);
+    let mut player = Player::new(sweep::Config { lone, shortest_sweep, stamp })?;
     while let Some(pulse) = table.pulse()? {
         player.pulse(pulse.rise, pulse.width);
         progress(table.progress());

@@ -15,15 +15,29 @@ pub fn folder(file: &Path) -> &Path {
     file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Writes a file: beside its place first, then renamed into it.
-pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    let name = path.display();
-    let failed = || format!("{name}: cannot be written");
+/// The file beside its place; gone again unless it is put there.
+fn beside(path: &Path) -> Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     // A temporary file is its owner's alone; this one is to stay, as any other.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.prefix(".partial-").tempfile_in(folder(path)).with_context(failed)?;
+    let file = builder.prefix(".partial-").tempfile_in(folder(path));
+    file.with_context(|| format!("{}: cannot be written", path.display()))
+}
+
+/// Whether a file could be written there: known before the work that it is to hold is done.
+///
+/// # Errors
+/// Why not.
+pub fn writable(path: &Path) -> Result<()> {
+    beside(path).map(drop)
+}
+
+/// Writes a file: beside its place first, then renamed into it.
+pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    let name = path.display();
+    let failed = || format!("{name}: cannot be written");
+    let mut file = beside(path)?;
     file.write_all(bytes).and_then(|()| file.as_file().sync_all()).with_context(failed)?;
     file.persist(path).with_context(|| format!("{name}: cannot be put in its place"))?;
     Ok(())

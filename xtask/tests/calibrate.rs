@@ -113,12 +113,17 @@ fn a_room_is_replaced_with_its_mote_kept_and_the_one_before_beside_it() {
     let desk = Desk::new();
     desk.run(&["--simulate"], &"\n".repeat(9)).0.expect("a room");
     let text = fs::read_to_string(&desk.room).expect("a room");
-    let own = text.replace("id = 1\n", "id = 77\n");
-    assert_ne!(own, text);
+    let own = text.replace("id = 1\n", "id = 77\n").replace("[station.A]\n", "[station.A]\nid = 3200290360\n");
+    let own = own.replace("[station.B]\n", "[station.B]\nfactory = \"received\"\n");
     fs::write(&desk.room, &own).expect("a change");
     let (end, said) = desk.run(&["--simulate"], "");
     end.expect("a room again, from the places that are there");
-    assert_eq!(schema::open(&desk.room).expect("a room").mote.id, 77);
+    let after = schema::open(&desk.room).expect("a room");
+    assert_eq!(after.mote.id, 77);
+    assert_eq!(after.stations.map(|station| station.id), [Some(3_200_290_360), None]);
+    assert_eq!(after.received(), [false, true]);
+    assert!(said.contains("station A's serial number is 3200290360"), "{said}");
+    assert!(said.contains("the room before lacks its own terms"), "{said}");
     let before = desk.home.path().join("calib/lab.toml~");
     assert_eq!(fs::read_to_string(&before).expect("the one before"), own);
     assert!(said.contains("the one before is"), "{said}");
@@ -230,6 +235,8 @@ fn captured_angles_and_a_table_of_places_are_a_room_too() {
     let (seen, truth) = sweeps::of_recording(&opened, &light);
     // The walk once more, as a mote with a 10 MHz clock would have sent it.
     const TICKS_HZ: f64 = 10e6;
+    // Whose clock begins with its first sweep.
+    let first_s = seen.sightings[0].at_s;
     let mut frames = Vec::new();
     for (number, some) in seen.sightings.chunks(ANGLES).enumerate() {
         let mut angles = Angles { half_turn_q8: (TICKS_HZ / 120.0 * 256.0).round() as u32, ..Angles::default() };
@@ -249,7 +256,7 @@ fn captured_angles_and_a_table_of_places_are_a_room_too() {
     let mut text = "time_s,x_m,y_m,z_m\n".to_string();
     for sample in truth {
         let [x, y, z] = sample.position.into();
-        text += &format!("{:.5},{x},{y},{z}\n", sample.at_s - 3.5);
+        text += &format!("{:.5},{x},{y},{z}\n", sample.at_s - first_s - 3.5);
     }
     fs::write(&table, text).unwrap();
     let words = ["--recording", shown(&air), "--truth", shown(&table), "-o", shown(&room), "--report", shown(&page)];
@@ -258,6 +265,40 @@ fn captured_angles_and_a_table_of_places_are_a_room_too() {
     assert_stands_as_fitted_by_others(&room, &take5);
     let error = run(&["--recording", shown(&air), "-o", shown(&room), "--report", shown(&page)], "").0.unwrap_err();
     assert!(error.contains("does not say where the mote was: add --truth"), "{error}");
+}
+
+#[test]
+fn a_place_that_cannot_be_written_is_named_before_anybody_has_walked() {
+    let desk = Desk::new();
+    let locked = Path::new("/proc/lab.toml");
+    if !Path::new("/proc/self").exists() {
+        return;
+    }
+    let words = ["--points", shown(&desk.points), "--simulate", "-o", shown(locked), "--report", shown(&desk.page)];
+    let (end, said) = run(&words, &"\n".repeat(9));
+    let error = end.expect_err("not written");
+    assert!(error.contains("/proc/lab.toml: cannot be written") && said.is_empty(), "{error} {said}");
+    assert!(!desk.page.exists());
+}
+
+#[test]
+fn a_room_is_written_though_nobody_reads_what_is_said() {
+    use std::process::{Command, Stdio};
+    let desk = Desk::new();
+    let words = ["--points", shown(&desk.points), "--simulate", "-o", shown(&desk.room), "--report", shown(&desk.page)];
+    let mut child = Command::new(env!("CARGO_BIN_EXE_xtask"))
+        .arg("calibrate")
+        .args(words)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("xtask");
+    drop(child.stdout.take());
+    std::io::Write::write_all(&mut child.stdin.take().expect("a pipe"), &[b'\n'; 9]).expect("nine places");
+    let end = child.wait_with_output().expect("an end");
+    assert!(end.status.success(), "{}", String::from_utf8_lossy(&end.stderr));
+    schema::open(&desk.room).expect("a room");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Calibration files: what is wrong is said with file, line, field and value.
 
 use xtask::calib::schema::{self, Estimate, Mote};
-use xtask::calib::{firmware, solver};
+use xtask::calib::{firmware, quantise, solver};
 
 const GOOD: &str = include_str!("../../calib/default.toml");
 
@@ -99,6 +99,50 @@ fn a_room_around_a_station_is_refused_with_the_number() {
     );
 }
 
+/// Two stations 4 m apart that look the same way, and a volume so far ahead of both.
+fn far_away(near: f64, far: f64, estimate: &str) -> String {
+    let rotation = "rotation = [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]";
+    format!(
+        "[room]\nmin = [-0.5, {near}, 0.5]\nmax = [0.5, {far}, 1.5]\n[mote]\nestimate = \"{estimate}\"\n\
+         [station.A]\n{rotation}\nposition = [-2, 0, 2]\n[station.B]\n{rotation}\nposition = [2, 0, 2]\n"
+    )
+}
+
+#[test]
+fn a_room_in_which_no_track_could_begin_is_refused_with_the_number() {
+    let bake = |text: &str| {
+        let calibration = schema::read("room.toml", text).expect("a file that reads");
+        let held = firmware::bake("room.toml", &calibration).map_err(|error| error.to_string());
+        held.map(|held| (held.warning(&calibration.mote), held.baked.out_of_reach))
+    };
+    let said = bake(&far_away(8.5, 9.5, "track")).expect_err("no track");
+    assert!(said.starts_with("room.toml: room: no track could begin in it: its nearest point is 8.50 m"), "{said}");
+    let (warning, out) = bake(&far_away(8.5, 9.5, "fix")).expect("fixes do without");
+    assert!(warning.is_none() && out.share == 1.0, "{warning:?} {out:?}");
+    // Half of it.
+    let (warning, out) = bake(&far_away(7.5, 8.5, "track")).expect("a room");
+    assert!((0.3..0.7).contains(&out.share) && out.nearest_m < 7.6, "{out:?}");
+    assert!(warning.is_some_and(|said| said.contains("where no track begins")));
+    let (warning, out) = bake(GOOD).expect("a room");
+    assert!(warning.is_none() && out.share == 0.0);
+}
+
+#[test]
+fn a_track_begins_as_far_away_as_the_bake_says() {
+    use lighthouse_mote::track::{Config, Pose, Room, State, start};
+    // Both look straight down; A stands at the origin.
+    let ahead = |m: f64| {
+        let pose = |x: i32| Pose {
+            axes: nalgebra::Matrix3::new(1 << 15, 0, 0, 0, -(1 << 15), 0, 0, 0, -(1 << 15)),
+            position: nalgebra::Vector3::new(x << 24, 0, 0),
+        };
+        let room = Room { stations: [pose(0), pose(1)] };
+        let position = [1 << 15, 0, (-m * 65_536.0).round() as i32];
+        start(&Config::HAND_HELD, &room, &mut State::default(), position, 0)
+    };
+    assert!(ahead(quantise::TRACK_REACH_M - 0.01) && !ahead(quantise::TRACK_REACH_M + 0.01));
+}
+
 #[test]
 fn stations_that_look_away_from_each_other_light_nothing() {
     let away = "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nposition = [0, 0, 1]\n";
@@ -162,6 +206,32 @@ fn a_serial_number_is_32_bits() {
         complaint(&with("[station.A]", "[station.A]\nid = 4294967296")),
         format!("room.toml:{line}: station.A.id: 4294967296 is no whole number in 0 ..= 4294967295")
     );
+}
+
+#[test]
+fn nothing_in_a_room_s_provenance_ends_its_line() {
+    let text = with("residual_deg = 0.15", "\"a\\npub fn x( {\" = \"c\\u2028d\"");
+    let calibration = schema::read("room\nfn y( {", &text).expect("a good file");
+    let source = firmware::source("room\nfn y( {", &calibration).expect("a room that can be held");
+    let comments = source.lines().take_while(|line| line.starts_with("//")).count();
+    assert_eq!(comments, 5, "{source}");
+    assert!(source.contains("// a pub fn x( {: \"c"), "{source}");
+    assert!(source.lines().nth(5).is_some_and(|line| line.starts_with("pub const CONFIG")), "{source}");
+}
+
+#[test]
+fn nobody_who_reads_what_is_printed_is_no_trouble() {
+    use std::process::{Command, Stdio};
+    let mut child = Command::new(env!("CARGO_BIN_EXE_xtask"))
+        .args(["bake", concat!(env!("CARGO_MANIFEST_DIR"), "/../calib/default.toml")])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("xtask");
+    drop(child.stdout.take());
+    let end = child.wait_with_output().expect("an end");
+    let said = String::from_utf8_lossy(&end.stderr);
+    assert!(end.status.success() && said.is_empty(), "{:?} {said}", end.status);
 }
 
 /// What a build includes of a room.

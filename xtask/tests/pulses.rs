@@ -10,10 +10,19 @@ use lighthouse_mote::ootx::Half;
 use sim::world::ootx::{Info, frame};
 use sim::world::rotor::Rotor;
 use xtask::pulses::findings::{Findings, shortest};
-use xtask::pulses::{Arguments, Lone, page::page, understand};
+use xtask::pulses::{Arguments, Lone, SweepEdge, page::page, understand};
 
 fn arguments(file: &Path) -> Arguments {
-    Arguments { file: file.to_path_buf(), clock_hz: None, join: false, factory: false, lone: None, json: false }
+    Arguments {
+        file: file.to_path_buf(),
+        clock_hz: None,
+        join: false,
+        factory: false,
+        lone: None,
+        sweep_edge: SweepEdge::Middle,
+        shortest_sweep_us: 1.0,
+        json: false,
+    }
 }
 
 fn findings(arguments: &Arguments) -> Findings {
@@ -109,6 +118,37 @@ fn table(text: &str) -> tempfile::NamedTempFile {
 
 fn of(pulses: &[(u64, u64)]) -> Findings {
     findings(&arguments(write(pulses).path()))
+}
+
+#[test]
+fn a_receiver_with_one_good_edge_is_told_so() {
+    let late = |n: u64, width: u64| if width < 200 { width + 9 * (n * 7 % 11) } else { width };
+    let pulses = Light::USUAL.pulses(0.0, 400);
+    let pulses: Vec<_> = (0..).zip(pulses).map(|(n, (rise, width))| (rise, late(n, width))).collect();
+    let file = write(&pulses);
+    let scatter = |sweep_edge: SweepEdge| {
+        let found = findings(&Arguments { sweep_edge, ..arguments(file.path()) });
+        let sweeps = found.widths.as_ref().expect("a clock").sweeps.iter().sum::<u64>();
+        assert_eq!(sweeps, found.rotors.iter().map(|angles| angles.sweeps.count).sum::<u64>());
+        found.rotors.iter().map(|a| a.measured.expect("sweeps").scatter_deg.expect("many")).fold(0.0, f64::max)
+    };
+    // Falls that come up to 8 us late move a middle by up to 4, and a rotor turns 0.0216 degrees in 1 us.
+    let (middle, rise) = (scatter(SweepEdge::Middle), scatter(SweepEdge::Rise));
+    assert!(middle > 0.02 && rise < 0.004, "{middle} {rise}");
+    let found = findings(&Arguments { shortest_sweep_us: 25.0, ..arguments(file.path()) });
+    assert!(found.rotors.iter().all(|angles| angles.sweeps.count == 0));
+}
+
+#[test]
+fn a_pulse_longer_than_a_counter_is_long() {
+    let mut pulses = Light::USUAL.pulses(0.0, 400);
+    let (rise, width) = pulses[pulses.len() - 1];
+    // Modulo 2^32 it would be a sweep of 10 us.
+    pulses.push((rise + width + 20_000, (1 << 32) + 108));
+    let (with, without) = (of(&pulses), of(&pulses[..pulses.len() - 1]));
+    assert_eq!(with.widths_ticks[2], (1 << 32) + 108);
+    let swept = |found: &Findings| found.rotors.iter().map(|angles| angles.sweeps.count).sum::<u64>();
+    assert_eq!(swept(&with), swept(&without));
 }
 
 #[test]

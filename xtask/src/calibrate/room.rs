@@ -15,8 +15,7 @@ use anyhow::{Context, Result, anyhow};
 
 use super::solve::{HeldOut, Station};
 use crate::calib::firmware::{self, Held};
-use crate::calib::schema::{self, Calibration, Estimate, Mote, RoomBox, Rotor};
-use crate::calib::solver::Calib;
+use crate::calib::schema::{self, Calibration, Estimate, FactorySource, Mote, RoomBox, Rotor};
 
 /// Margins around the path that are tried, as parts of its longest side: the widest first.
 const MARGINS: [f64; 6] = [0.5, 0.35, 0.25, 0.15, 0.08, 0.03];
@@ -36,6 +35,23 @@ pub struct Room {
     pub margin_m: Option<f64>,
 }
 
+/// What a room file says of a station besides what is measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Told {
+    /// Its serial number.
+    pub id: Option<u32>,
+    /// Whose factory terms motes use.
+    pub source: Option<FactorySource>,
+}
+
+impl Told {
+    /// Of the stations of a room.
+    #[must_use]
+    pub fn of(room: &Calibration) -> [Told; 2] {
+        room.stations.map(|station| Told { id: station.id, source: station.source })
+    }
+}
+
 /// Writes the room of `stations` around the places where the mote was; `file` is for complaints.
 ///
 /// # Errors
@@ -43,6 +59,7 @@ pub struct Room {
 pub fn write(
     file: &str,
     stations: &[Station; 2],
+    told: &[Told; 2],
     path: &[[f64; 3]],
     mote: &toml::Table,
     provenance: &[(String, toml::Value)],
@@ -61,13 +78,13 @@ pub fn write(
         (Some(volume), Some(margin))
     });
     for (volume, margin_m) in boxes.chain([(None, None)]) {
-        let text = text(stations, volume.as_ref(), mote, provenance);
+        let text = text(stations, told, volume.as_ref(), mote, provenance);
         let calibration = schema::read(file, &text).context("the solved room cannot be written down")?;
         match firmware::bake(file, &calibration) {
             Ok(held) => {
-                let fast = matches!(held.baked.calib, Calib::Fast(_));
+                let is_exact = held.is_exact();
                 let room = Room { text, calibration, held, margin_m };
-                if fast {
+                if is_exact {
                     return Ok(room);
                 }
                 widest.get_or_insert(room);
@@ -132,13 +149,14 @@ pub fn extent(path: &[[f64; 3]]) -> Option<([f64; 3], [f64; 3])> {
 /// The file's text.
 fn text(
     stations: &[Station; 2],
+    told: &[Told; 2],
     volume: Option<&RoomBox>,
     mote: &toml::Table,
     provenance: &[(String, toml::Value)],
 ) -> String {
     let mut out = String::from(
-        "# A room as measured by `cargo xtask calibrate`; calibrate again to replace it. What stands under [mote] is kept.\n\
-         #\n# c = R (p - position); tan(az) = c.x / c.z, tan(el) = c.y / c.z; metres and radians.\n\n[provenance]\n",
+        "# A room as measured by `cargo xtask calibrate`; calibrate again to replace it. What stands under [mote] is kept,\n\
+         # and so are each station's id and whose factory terms are used.\n#\n# c = R (p - position); tan(az) = c.x / c.z, tan(el) = c.y / c.z; metres and radians.\n\n[provenance]\n",
     );
     for (key, value) in provenance {
         let _ = writeln!(out, "{key} = {value}");
@@ -156,14 +174,18 @@ fn text(
         );
     }
     let _ = write!(out, "\n[mote]\n{mote}");
-    for (name, station) in ["A", "B"].into_iter().zip(stations) {
+    for (name, (station, told)) in ["A", "B"].into_iter().zip(stations.iter().zip(told)) {
         let rows: Vec<String> = station.rotation.row_iter().map(|row| list([row[0], row[1], row[2]], 9)).collect();
         let _ = write!(
             out,
-            "\n[station.{name}]\nrotation = [{}]\nposition = {}\n",
+            "\n[station.{name}]\n{}rotation = [{}]\nposition = {}\n",
+            told.id.map_or(String::new(), |id| format!("id = {id}\n")),
             rows.join(", "),
             list(station.position.into(), 6)
         );
+        if let Some(source) = told.source {
+            let _ = writeln!(out, "[station.{name}.factory]\nsource = \"{}\"", source.name());
+        }
         for (axis, rotor) in ["az", "el"].into_iter().zip(&station.factory) {
             let Rotor { phase, tilt, curve, gibphase, gibmag } = rotor;
             let terms =
@@ -195,6 +217,8 @@ mod tests {
         schema::read("default.toml", include_str!("../../../calib/default.toml")).unwrap()
     }
 
+    const UNTOLD: [Told; 2] = [Told { id: None, source: None }; 2];
+
     /// A walk through the middle of the default room.
     fn walk() -> Vec<[f64; 3]> {
         (0..200)
@@ -211,11 +235,19 @@ mod tests {
         let mut mote = usual_mote();
         mote.insert("id".to_string(), 23.into());
         mote.insert("estimate".to_string(), "fix".into());
-        let room = write("lab.toml", &stations, &walk(), &mote, &notes).unwrap();
-        assert!(matches!(room.held.baked.calib, Calib::Fast(_)), "{}", room.held.baked.choice);
+        let told = [
+            Told { id: Some(3_200_290_360), source: Some(FactorySource::Received) },
+            Told { id: None, source: Some(FactorySource::File) },
+        ];
+        let room = write("lab.toml", &stations, &told, &walk(), &mote, &notes).unwrap();
+        assert!(room.held.is_exact(), "{}", room.held.baked.choice);
         let after = schema::read("lab.toml", &room.text).unwrap();
         assert_eq!(after.mote, Mote { id: 23, estimate: Estimate::Fix, ..Mote::default() });
-        assert_eq!(after.stations, before.stations);
+        assert_eq!(Told::of(&after), told);
+        assert_eq!(
+            after.stations.map(|station| schema::Station { id: None, source: None, ..station }),
+            before.stations
+        );
         assert_eq!(after.provenance.len(), 1);
         let volume = after.room.unwrap();
         for place in walk() {
@@ -229,7 +261,7 @@ mod tests {
         let mut path = walk();
         // 20 cm below station A, which stands at 1.627.
         path.push([0.26, 1.0, 1.42]);
-        let room = write("lab.toml", &stations, &path, &usual_mote(), &[]).unwrap();
+        let room = write("lab.toml", &stations, &UNTOLD, &path, &usual_mote(), &[]).unwrap();
         let volume = room.calibration.room.unwrap();
         assert!(volume.max[2] >= 1.42 && volume.max[2] < 1.627, "{volume:?}");
     }
@@ -238,7 +270,7 @@ mod tests {
     fn factory_terms_that_are_none_are_refused_by_name() {
         let mut stations = reference::Room::of(&default_room()).stations;
         stations[1].factory[0].phase = 0.7;
-        let said = format!("{:#}", write("lab.toml", &stations, &walk(), &usual_mote(), &[]).unwrap_err());
+        let said = format!("{:#}", write("lab.toml", &stations, &UNTOLD, &walk(), &usual_mote(), &[]).unwrap_err());
         assert!(said.contains("station.B.factory.az.phase: 0.7"), "{said}");
     }
 }

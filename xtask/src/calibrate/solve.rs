@@ -32,7 +32,7 @@ use rand_chacha::rand_core::SeedableRng;
 
 pub use crate::calib::schema::Rotor;
 pub use crate::reference::Pose as Station;
-pub use check::{LATEST_S, MOST_DRIFT};
+pub use check::{LATEST_S, MOST_DRIFT, exchanged};
 pub use observation::{Attitude, Sighting, TruthSample};
 pub use solution::{HeldOut, Residual, RotorFit, Solution};
 pub use trouble::Trouble;
@@ -68,8 +68,8 @@ pub struct Options {
     pub fit_lever_arm: Choice,
     /// How the tracked body was turned, in the order of time; may be empty.
     pub attitudes: Vec<Attitude>,
-    /// Factory terms that are known, as those a station broadcasts; then none are fitted.
-    pub factory: Option<[[Rotor; 2]; 2]>,
+    /// Each station's factory terms where they are known, as those it broadcasts; its own are then not fitted.
+    pub factory: [Option<[Rotor; 2]>; 2],
     /// Where the stations stood before, metres, to notice that A and B were exchanged.
     pub before: Option<[Vector3<f64>; 2]>,
     /// Whether the truth may be late although it is written on the mote's clock: motion capture takes a while, and a
@@ -200,13 +200,13 @@ fn place(points: &[Point], path: &Path, offset_s: f64, options: &Options, random
         let sights: Vec<Sight> = own
             .map(|point| {
                 let place = path.anywhere(point.at_s + offset_s).0;
-                let phase = options.factory.map_or(0.0, |factory| factory[s][point.axis].phase);
+                let phase = options.factory[s].map_or(0.0, |factory| factory[point.axis].phase);
                 Sight { place, axis: point.axis, angle: point.angle + phase }
             })
             .collect();
         let mut found = pose::search(&sights, random)?.0;
-        if let Some(factory) = options.factory {
-            let known = Station { rotation: Matrix3::identity(), position: Vector3::zeros(), factory: factory[s] };
+        if let Some(factory) = options.factory[s] {
+            let known = Station { rotation: Matrix3::identity(), position: Vector3::zeros(), factory };
             found.terms = Fitted::of(&known).terms;
         }
         Some(found)

@@ -38,12 +38,27 @@ pub struct Sweeps {
 }
 
 /// Turns a mote's ticks into seconds since its first sweep.
+///
+/// Where that cannot be told, because the mote started anew or sent nothing for half a turn of its counter, time goes on
+/// from where it stood.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MoteClock {
     last: Option<(u32, f64)>,
+    /// The counter says nothing of the time before.
+    is_new: bool,
+    /// How many times it was so.
+    breaks: u32,
 }
 
+/// Sweeps of one frame may be out of order, by a few half turns; a counter that goes back further began anew, seconds.
+const BACK_S: f64 = 1.0;
+
 impl MoteClock {
+    /// The mote says that it started anew, or that it was silent for too long.
+    fn begin_anew(&mut self) {
+        self.is_new = true;
+    }
+
     /// The sweep as the solver wants it, with the half turn as measured by then, ticks, Q8; none when that is no half
     /// turn, or the sweep lies beyond it.
     pub fn sighting(&mut self, seen: &Measured, half_turn_q8: u32) -> Option<Sighting> {
@@ -53,11 +68,14 @@ impl MoteClock {
         }
         let at_s = match self.last {
             None => 0.0,
-            // Sweeps of one frame may be out of order by a few; a silence longer than half the counter cannot be told.
             Some((ticks, at_s)) => {
-                at_s + f64::from(seen.time.wrapping_sub(ticks).cast_signed()) / half_turn * HALF_TURN_S
+                let since_s = f64::from(seen.time.wrapping_sub(ticks).cast_signed()) / half_turn * HALF_TURN_S;
+                let is_broken = self.is_new || since_s < -BACK_S;
+                self.breaks += u32::from(is_broken);
+                if is_broken { at_s } else { at_s + since_s }
             }
         };
+        self.is_new = false;
         self.last = Some((seen.time, at_s));
         let angle = angle(f64::from(seen.share) / SHARE);
         Some(Sighting { at_s, station: seen.station as usize, axis: seen.axis as usize, angle })
@@ -76,14 +94,18 @@ pub fn of_recording(recording: &Recording, light: &Light) -> (Sweeps, Vec<TruthS
     let mut sightings = Vec::new();
     let mut truth: Vec<TruthSample> = Vec::new();
     let (mut unplayable, mut half_turns) = (0, Vec::new());
-    // Where the clock stands: a cycle of the mote and its true time.
+    // Where the clock stands: a cycle of the mote and its true time, from the recording's first row whatever its window, as
+    // motion capture that was begun with it would count.
     let mut clock: Option<(f64, f64)> = None;
-    for (row, played) in recording.rows.iter().zip(&light.rows).filter(|(row, _)| within(row)) {
+    for (row, played) in recording.rows.iter().zip(&light.rows) {
         let half_turn_cycles = played.half_turn * cycles_per_tick;
         let cycle = played.cycle as f64;
         let (last, then_s) = *clock.get_or_insert((cycle, 0.0));
         let now_s = then_s + (cycle - last) / half_turn_cycles * HALF_TURN_S;
         clock = Some((cycle, now_s));
+        if !within(row) {
+            continue;
+        }
         if row.truth_ok && truth.last().is_none_or(|sample| now_s > sample.at_s) {
             truth.push(TruthSample { at_s: now_s, position: Vector3::from(row.truth) });
         }
@@ -126,12 +148,14 @@ pub fn of_capture(path: &Path) -> Result<Sweeps> {
     let name = path.display().to_string();
     let file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
     let mut heard = Heard::default();
-    let mut sightings = Vec::new();
+    // Between two breaks of the mote's clock.
+    let mut stretches: Vec<Vec<Sighting>> = vec![Vec::new()];
     let mut half_turns = Vec::new();
     let mut trouble = None;
     capture::frames(&name, BufReader::new(file), |frame| match heard.hear(frame, &mut half_turns) {
         Ok(seen) => {
-            sightings.extend(seen);
+            stretches.resize(1 + heard.clock.breaks as usize, Vec::new());
+            stretches.last_mut().into_iter().for_each(|stretch| stretch.extend(seen.iter()));
             true
         }
         Err(error) => {
@@ -142,19 +166,37 @@ pub fn of_capture(path: &Path) -> Result<Sweeps> {
     if let Some(trouble) = trouble {
         return Err(trouble);
     }
+    let length_s = |stretch: &Vec<Sighting>| Some(stretch.last()?.at_s - stretch.first()?.at_s);
+    let lengths: Vec<f64> = stretches.iter().filter_map(length_s).collect();
+    let longest = stretches.iter().max_by(|a, b| length_s(a).unwrap_or(-1.0).total_cmp(&length_s(b).unwrap_or(-1.0)));
+    let sightings = longest.cloned().unwrap_or_default();
     if sightings.is_empty() {
         bail!("{name}: {}", heard.nothing());
     }
     ensure!(half_turns.iter().all(|h| h.is_finite()), "{name}: a half turn that is no number");
-    let notes = vec![format!("{} frames with angles, {} others", heard.angles, heard.reports + heard.foreign)];
+    let mut notes = vec![format!("{} frames with angles, {} others", heard.angles, heard.reports + heard.foreign)];
+    if lengths.len() > 1 {
+        notes.push(format!(
+            "the mote's clock broke {} times, for it started anew or was silent for too long: only the longest stretch is \
+             used, {:.1} of {:.1} s",
+            lengths.len() - 1,
+            lengths.iter().copied().fold(0.0, f64::max),
+            lengths.iter().sum::<f64>()
+        ));
+    }
     Ok(Sweeps { sightings, half_turn_ticks: quantile(&mut half_turns, 0.5), notes })
 }
+
+/// A health frame is a second old at most, and a few may be lost, seconds.
+const UPTIME_S: f64 = 5.0;
 
 /// What came out of a radio so far: the angles of one mote, and how much else.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Heard {
     clock: MoteClock,
     mote: Option<u16>,
+    /// Seconds since it started, by its latest health frame, and by the one before its latest sweep.
+    uptime: [Option<u32>; 2],
     /// Frames with angles.
     pub angles: u64,
     /// Other frames of ours.
@@ -168,6 +210,17 @@ impl Heard {
     pub fn hear(&mut self, frame: &[u8], half_turns: &mut Vec<f64>) -> Result<Vec<Sighting>> {
         let (mote, angles) = match frame::parse(frame) {
             Ok((header, Message::Angles(angles))) => (header.mote, angles),
+            Ok((header, Message::Health(health))) => {
+                self.reports += 1;
+                if self.mote.is_none_or(|mote| mote == header.mote) {
+                    if self.uptime[0].is_some_and(|before| health.uptime < before) {
+                        self.clock.begin_anew();
+                        self.uptime[1] = None;
+                    }
+                    self.uptime[0] = Some(health.uptime);
+                }
+                return Ok(Vec::new());
+            }
             Ok(_) => {
                 self.reports += 1;
                 return Ok(Vec::new());
@@ -180,6 +233,14 @@ impl Heard {
         let first = *self.mote.get_or_insert(mote);
         ensure!(first == mote, "angles of two motes, {first} and {mote}: switch one of them off");
         self.angles += 1;
+        // Half a turn of the counter, in the half turns of the light; the last seconds may be missing in what was told.
+        let half_counter_s = f64::from(1u32 << 31) / f64::from(angles.half_turn_q8) * 256.0 * HALF_TURN_S;
+        if let [Some(now), Some(before)] = self.uptime
+            && f64::from(now.saturating_sub(before)) > half_counter_s - UPTIME_S
+        {
+            self.clock.begin_anew();
+        }
+        self.uptime[1] = self.uptime[0];
         half_turns.push(f64::from(angles.half_turn_q8) / 256.0);
         Ok(angles.sweeps.iter().filter_map(|sweep| self.clock.sighting(sweep, angles.half_turn_q8)).collect())
     }
@@ -196,7 +257,8 @@ impl Heard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lighthouse_mote::frame::{ANGLES_LEN, Angles, Header, emit_angles};
+    use crate::pcap::{self, Frame};
+    use lighthouse_mote::frame::{ANGLES_LEN, Angles, Header, Health, emit_angles, emit_health};
     use lighthouse_mote::sweep::{Axis, Station};
 
     /// A half turn of a 10.82 MHz clock, ticks.
@@ -231,6 +293,56 @@ mod tests {
             "half of the half turn is straight ahead"
         );
         assert!((seen[1].angle - 1000.0 * std::f64::consts::PI / SHARE).abs() < 1e-12 && seen[1].axis == 1);
+    }
+
+    fn health_frame(mote: u16, uptime: u32) -> Vec<u8> {
+        let header = Header { pan: 1, mote, sequence: 0 };
+        emit_health(header, &Health { uptime, ..Health::default() }).to_vec()
+    }
+
+    #[test]
+    fn time_never_goes_back_and_a_mote_that_starts_anew_is_noticed() {
+        let hear = |frames: &[Vec<u8>]| {
+            let mut heard = Heard::default();
+            let seen: Vec<f64> =
+                frames.iter().flat_map(|f| heard.hear(f, &mut Vec::new()).unwrap()).map(|s| s.at_s).collect();
+            assert!(seen.is_sorted(), "{seen:?}");
+            (heard.clock.breaks, seen.last().copied().unwrap_or(0.0))
+        };
+        let at = |half_turns: u32| angles_frame(7, &[half_turns.wrapping_mul(HALF_TURN)]);
+        // 100 s, and from the beginning again for 50: by itself, and as a health frame tells.
+        let (breaks, end_s) = hear(&[at(0), at(12_000), at(0), at(6_000)]);
+        assert!(breaks == 1 && (end_s - 150.0).abs() < 1e-6, "{breaks} {end_s}");
+        let told = [at(0), health_frame(7, 100), at(12_000), health_frame(7, 3), at(13_000), at(19_000)];
+        assert_eq!(hear(&told), (1, 150.0));
+        // One that has been up for long when it is first heard.
+        assert_eq!(hear(&[at(0), health_frame(7, 4000), at(120)]).0, 0);
+        // What another mote does is none of its business.
+        let (breaks, _) = hear(&[at(0), health_frame(7, 100), health_frame(8, 3), at(12_000)]);
+        assert_eq!(breaks, 0);
+        // 198.4 s are half a turn of the counter; 300 s look like 97 s back.
+        let (breaks, end_s) = hear(&[health_frame(7, 1), at(0), at(60), health_frame(7, 301), at(36_000), at(36_120)]);
+        assert!(breaks == 1 && (end_s - 1.5).abs() < 1e-6, "{breaks} {end_s}");
+    }
+
+    #[test]
+    fn of_a_capture_with_a_break_the_longest_stretch_is_used_and_that_is_said() {
+        let frames: Vec<Frame> = [0, 1200, 2400, 0, 1200]
+            .iter()
+            .map(|half_turns| Frame { micros: 0, bytes: angles_frame(7, &[half_turns * HALF_TURN]) })
+            .collect();
+        let home = tempfile::tempdir().unwrap();
+        let path = home.path().join("air.pcap");
+        let mut bytes = Vec::new();
+        pcap::write(&frames, &mut bytes).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+        let sweeps = of_capture(&path).unwrap();
+        assert_eq!(sweeps.sightings.len(), 3);
+        assert!(
+            sweeps.notes[1].contains("broke 1 times") && sweeps.notes[1].contains("20.0 of 30.0 s"),
+            "{:?}",
+            sweeps.notes
+        );
     }
 
     #[test]

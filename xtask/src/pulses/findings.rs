@@ -53,7 +53,7 @@ pub struct Findings {
     /// Widths of all pulses; `null` without seconds.
     pub widths: Option<Histogram>,
     /// Shortest, median and longest pulse.
-    pub widths_ticks: [u32; 3],
+    pub widths_ticks: [u64; 3],
     /// What a person could do better, a sentence each.
     pub advice: Vec<String>,
 }
@@ -492,7 +492,7 @@ impl Histogram {
         let [a, b, sweeps, other] = widths.each_ref().map(|widths| {
             let mut bins = vec![0; BINS];
             for (ticks, count) in widths {
-                let bin = (f64::from(*ticks) / hz * 1e6 / BIN_US) as usize;
+                let bin = (*ticks as f64 / hz * 1e6 / BIN_US) as usize;
                 bins[bin.min(BINS - 1)] += count;
             }
             bins
@@ -502,7 +502,7 @@ impl Histogram {
 }
 
 /// Shortest, median, longest.
-fn span(widths: &[Widths; 4]) -> [u32; 3] {
+fn span(widths: &[Widths; 4]) -> [u64; 3] {
     let mut all = Widths::new();
     for (width, count) in widths.iter().flatten() {
         *all.entry(*width).or_default() += count;
@@ -513,7 +513,7 @@ fn span(widths: &[Widths; 4]) -> [u32; 3] {
         below += *count;
         below >= half
     });
-    let end = |entry: Option<(&u32, &u64)>| entry.map_or(0, |(width, _)| *width);
+    let end = |entry: Option<(&u64, &u64)>| entry.map_or(0, |(width, _)| *width);
     [end(all.first_key_value()), end(median), end(all.last_key_value())]
 }
 

@@ -11,7 +11,7 @@ use lighthouse_mote::frame::{Health, Lock};
 use lighthouse_mote::ootx::{self, Block};
 use lighthouse_mote::pulse::Pulse;
 use lighthouse_mote::send;
-use lighthouse_mote::sweep::{self, Station, Sweep};
+use lighthouse_mote::sweep::{self, Stamp, Sweep};
 use lighthouse_mote::time::{Span, Ticks};
 use lighthouse_mote::{angle, fix, track};
 use nalgebra::{Matrix3, Vector3};
@@ -24,7 +24,7 @@ const LOOK_HALF_TURNS: u64 = 12;
 const RECENT: usize = 256;
 
 /// Widths in ticks, and how often each came.
-pub type Widths = BTreeMap<u32, u64>;
+pub type Widths = BTreeMap<u64, u64>;
 
 /// Counts since the beginning, of 64 bits where the mote's wrap at 16 and 8.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -82,21 +82,21 @@ pub struct Player {
     ears: Ears,
     played: Played,
     health: Health,
-    /// Pulses that are neither flash nor, so far, sweep: their middle and width.
-    recent: VecDeque<(u32, u32)>,
+    /// Pulses that are neither flash nor, so far, sweep: when they would be one, and their width.
+    recent: VecDeque<(u32, u64)>,
     is_locked: bool,
 }
 
 impl Player {
-    /// A mote that has just been switched on. `lone`: who it is if only one station is seen.
+    /// A mote that has just been switched on.
     ///
     /// # Errors
     /// The project's own default room cannot be held; no place is ever asked of it here.
-    pub fn new(lone: Option<Station>) -> Result<Self> {
+    pub fn new(sweep: sweep::Config) -> Result<Self> {
         let calib = room()?;
         let nowhere = track::Pose { axes: Matrix3::zeros(), position: Vector3::zeros() };
         let config = Config {
-            sweep: sweep::Config { lone, ..sweep::Config::DEFAULT },
+            sweep,
             ootx: ootx::Config { rest_bits: 0, ids: [None, None] },
             angle: angle::Config::default(),
             fix: fix::Config { calib, max_age_half_turns: 12 },
@@ -127,16 +127,21 @@ impl Player {
         }
         self.played.pulses += 1;
         self.played.last = rise.saturating_add(width);
-        let pulse = Pulse { start: Ticks(rise as u32), width: Span(width as u32) };
+        // A counter of 32 bits cannot tell how often it wrapped meanwhile; it is long, and no station's, anyhow.
+        let pulse = Pulse { start: Ticks(rise as u32), width: Span(u32::try_from(width).unwrap_or(u32::MAX)) };
         let before = self.health.syncs;
         let sighting = self.classifier.pulse(&self.config, pulse);
         self.sight(rise, sighting);
         self.look(rise, pulse.start.after(pulse.width));
         let after = self.health.syncs;
         if let Some(station) = (0..2).find(|station| before[*station] != after[*station]) {
-            note(&mut self.played.widths[station], pulse.width.0);
+            note(&mut self.played.widths[station], width);
         } else {
-            self.recent.push_back((pulse.start.after(Span(pulse.width.0 / 2)).0, pulse.width.0));
+            let at = match self.config.sweep.stamp {
+                Stamp::Middle => pulse.start.after(Span(pulse.width.0 / 2)),
+                Stamp::Rise => pulse.start,
+            };
+            self.recent.push_back((at.0, width));
             if self.recent.len() > RECENT
                 && let Some((_, width)) = self.recent.pop_front()
             {
@@ -186,7 +191,7 @@ impl Player {
 
     /// The pulse that a sweep was is no stranger any more.
     fn claim(&mut self, sweep: Sweep) {
-        if let Some(index) = self.recent.iter().rposition(|(middle, _)| *middle == sweep.at.0)
+        if let Some(index) = self.recent.iter().rposition(|(at, _)| *at == sweep.at.0)
             && let Some((_, width)) = self.recent.remove(index)
         {
             note(&mut self.played.widths[2], width);
@@ -270,6 +275,6 @@ fn room() -> Result<fix::Calib> {
     Ok(*ROOM.get_or_init(|| held.baked.calib))
 }
 
-fn note(widths: &mut Widths, width: u32) {
+fn note(widths: &mut Widths, width: u64) {
     *widths.entry(width).or_default() += 1;
 }

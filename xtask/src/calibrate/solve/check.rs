@@ -4,13 +4,13 @@
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
-use super::Options;
-use super::model::{length, median, sub};
+use super::model::{Fitted, length, median, sub};
 use super::observation::{Sighting, TruthSample};
 use super::pairing::rotors;
 use super::path::Path;
 use super::refine::{Data, Fit, Guess, Point};
 use super::trouble::Trouble;
+use super::{Options, Station};
 
 /// Sightings per rotor, with truth, that a pose takes: six numbers and as many again to notice what is wrong.
 const LEAST_PER_ROTOR: usize = 12;
@@ -84,10 +84,10 @@ pub(super) fn paired(sightings: &[Sighting], points: &[Point]) -> Result<(), Tro
 
 pub(super) fn duration(points: &[Point], options: &Options) -> Result<(), Trouble> {
     let length_s = points.last().map_or(0.0, |last| last.at_s) - points.first().map_or(0.0, |first| first.at_s);
-    if options.offset_search_s.is_some() && length_s < LEAST_S {
-        return Err(Trouble::TooShort { length_s, needed_s: LEAST_S });
+    match options.offset_search_s {
+        Some(searched) if length_s < LEAST_S => Err(Trouble::TooShort { length_s, needed_s: LEAST_S, searched }),
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 /// Standard deviations along the three directions of the cloud, longest first.
@@ -185,13 +185,18 @@ pub(super) fn stations(path: &Path, fit: &Fit, options: &Options) -> Result<(), 
             return Err(Trouble::TooFar { station, distance_m });
         }
     }
-    if let Some(before) = options.before {
-        let distance = |s: usize, t: usize| length(sub(fit.guess.stations[s].position, before[t].into()));
-        let distance_m = 0.5 * (distance(0, 0) + distance(1, 1));
-        let exchanged_m = 0.5 * (distance(0, 1) + distance(1, 0));
-        if exchanged_m < 0.5 * distance_m {
-            return Err(Trouble::Swapped { distance_m, exchanged_m });
-        }
+    let found = fit.guess.stations.each_ref().map(Fitted::pose);
+    match options.before.and_then(|before| exchanged(&found, &before)) {
+        Some((distance_m, exchanged_m)) => Err(Trouble::Swapped { distance_m, exchanged_m }),
+        None => Ok(()),
     }
-    Ok(())
+}
+
+/// Whether each station stands where the other stood before: the mean distances from the places before, as they are and
+/// exchanged, metres.
+pub fn exchanged(stations: &[Station; 2], before: &[Vector3<f64>; 2]) -> Option<(f64, f64)> {
+    let distance = |s: usize, t: usize| (stations[s].position - before[t]).norm();
+    let distance_m = 0.5 * (distance(0, 0) + distance(1, 1));
+    let exchanged_m = 0.5 * (distance(0, 1) + distance(1, 0));
+    (exchanged_m < 0.5 * distance_m).then_some((distance_m, exchanged_m))
 }

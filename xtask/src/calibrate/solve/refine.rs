@@ -49,15 +49,15 @@ pub(super) struct Point {
 pub(super) struct Free {
     pub offset: bool,
     pub drift: bool,
-    /// The first so many of [`TERMS`] per rotor.
-    pub terms: usize,
+    /// The first so many of [`TERMS`] of each station's rotors.
+    pub terms: [usize; 2],
     pub lever: bool,
 }
 
 impl Free {
     fn columns(self) -> Vec<usize> {
         let station = |s: usize| {
-            let terms = (0..2).flat_map(move |axis| (0..self.terms).map(move |k| 6 + axis * TERMS + k));
+            let terms = (0..2).flat_map(move |axis| (0..self.terms[s]).map(move |k| 6 + axis * TERMS + k));
             (0..6).chain(terms).map(move |k| s * PER_STATION + k)
         };
         let mut columns: Vec<usize> = station(0).chain(station(1)).collect();
@@ -247,7 +247,7 @@ impl Data<'_> {
         }
         for s in 0..2 {
             for axis in 0..2 {
-                for (k, spread) in SPREAD.iter().enumerate().take(free.terms) {
+                for (k, spread) in SPREAD.iter().enumerate().take(free.terms[s]) {
                     let at = s * PER_STATION + 6 + axis * TERMS + k;
                     normal.square[at][at] += 1.0 / (spread * spread);
                     normal.slope[at] -= guess.stations[s].terms[axis][k] / (spread * spread);
@@ -332,8 +332,9 @@ impl Data<'_> {
 }
 
 fn prior(guess: &Guess, free: Free) -> f64 {
-    let rotors = guess.stations.iter().flat_map(|station| &station.terms);
-    let terms = rotors.flat_map(|terms| terms.iter().zip(SPREAD).take(free.terms));
+    let stations = guess.stations.iter().zip(free.terms);
+    let terms = stations
+        .flat_map(|(station, free)| station.terms.iter().flat_map(move |terms| terms.iter().zip(SPREAD).take(free)));
     terms.map(|(term, spread)| 0.5 * (term / spread).powi(2)).sum()
 }
 

@@ -51,14 +51,16 @@ pub(super) fn choose(
         let wider = Free { offset: true, ..chosen };
         weigh("Delays of the truth", wider, Choice::Auto, &mut chosen, &mut held_out);
     }
-    match (options.fit_factory, options.factory) {
-        (_, Some(_)) | (Choice::Never, _) => {}
-        (choice, None) => {
+    let known = options.factory.map(|terms| terms.is_some());
+    match options.fit_factory {
+        Choice::Never => {}
+        _ if known == [true; 2] => {}
+        choice => {
             for (part, terms, what) in
                 [(0.2, 1, "Rotor phases"), (0.4, 2, "Rotor tilts"), (0.6, TERMS, "Rotors' once-per-turn terms")]
             {
                 progress("holding blocks out", part);
-                let wider = Free { terms, ..chosen };
+                let wider = Free { terms: known.map(|known| if known { 0 } else { terms }), ..chosen };
                 if !weigh(what, wider, choice, &mut chosen, &mut held_out) {
                     break;
                 }
@@ -85,9 +87,13 @@ pub(super) fn choose(
             &mut held_out,
         );
     }
-    if options.factory.is_some() {
-        evidence.push("Factory terms are the ones given.".to_string());
-    } else if options.fit_factory == Choice::Never {
+    match known {
+        [true, true] => evidence.push("Factory terms are the ones given.".to_string()),
+        [true, false] => evidence.push("Station A's factory terms are the ones given.".to_string()),
+        [false, true] => evidence.push("Station B's factory terms are the ones given.".to_string()),
+        [false, false] => {}
+    }
+    if known != [true; 2] && options.fit_factory == Choice::Never {
         evidence.push("Factory terms are not fitted, as asked.".to_string());
     }
     if options.attitudes.is_empty() && options.fit_lever_arm != Choice::Never {

@@ -205,10 +205,29 @@ fn ideal_rotors_are_left_alone() {
 }
 
 #[test]
+fn one_station_s_given_factory_terms_are_kept_and_the_other_s_fitted() {
+    let kind = Kind { noise: 0.002, instants: 600, factory: [0.04, 0.0], ..QUICK };
+    for known in 0..2 {
+        let room = simulate(&kind, 6);
+        let mut factory = [None; 2];
+        factory[known] = Some(room.stations[known].factory);
+        let options = Options { factory, fit_factory: Choice::Always, ..Options::default() };
+        let solution = solved(&room, &options).unwrap();
+        let phase = |station: usize| solution.stations[station].factory[0].phase;
+        let is = |station: usize| room.stations[station].factory[0].phase;
+        assert!((phase(known) - is(known)).abs() < 1e-12);
+        assert!(phase(1 - known) != 0.0 && solution.stations[1 - known].factory[1].phase != 0.0);
+        for (found, is) in solution.stations.iter().zip(&room.stations) {
+            assert!(angles_off(found, is, &room.truth) < 0.1);
+        }
+    }
+}
+
+#[test]
 fn given_factory_terms_are_kept() {
     let room = simulate(&Kind { factory: [0.04, 0.004], ..QUICK }, 6);
     let factory = room.stations.each_ref().map(|station| station.factory);
-    let solution = solved(&room, &Options { factory: Some(factory), ..Options::default() }).unwrap();
+    let solution = solved(&room, &Options { factory: factory.map(Some), ..Options::default() }).unwrap();
     for (found, is) in solution.stations.iter().zip(&room.stations) {
         assert!((found.factory[0].phase - is.factory[0].phase).abs() < 1e-12);
         assert!(angles_off(found, is, &room.truth) < 0.03);
@@ -461,7 +480,8 @@ fn a_flight_with_given_factory_terms_is_solved() {
     let recording = recording.sensor(0).unwrap();
     let factory = crate::reference::Room::open(&recording.stations).unwrap().stations.map(|station| station.factory);
     let (sightings, truth) = window(&recording, 0.0);
-    let solution = solve(&sightings, &truth, &Options { factory: Some(factory), ..Options::default() }, &mut |_, _| {});
+    let solution =
+        solve(&sightings, &truth, &Options { factory: factory.map(Some), ..Options::default() }, &mut |_, _| {});
     let solution = solution.unwrap();
     assert!(solution.held_out.mean_3d_m < 0.0085, "{:?}", solution.held_out);
 }

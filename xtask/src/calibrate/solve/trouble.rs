@@ -47,6 +47,8 @@ pub enum Trouble {
         length_s: f64,
         /// As long it must be, seconds.
         needed_s: f64,
+        /// Where the offset of the clocks was searched, seconds.
+        searched: (f64, f64),
     },
     /// The clocks cannot be brought together by a mote that stands still.
     AtRest {
@@ -153,14 +155,16 @@ impl fmt::Display for Trouble {
             Trouble::TooFew { station, axis, seen, paired, needed } => write!(
                 f,
                 "station {}'s {} was seen {seen} times, {paired} of them with truth at that time; {needed} are needed: \
-                 carry the mote for longer, and check that both recordings cover the same time",
+                 carry the mote for longer, and check that both recordings cover the same time and, with --truth, that their \
+                 clocks are no farther apart than --offset allows",
                 name(*station),
                 rotor(*axis)
             ),
-            Trouble::TooShort { length_s, needed_s } => write!(
+            Trouble::TooShort { length_s, needed_s, searched: (low, high) } => write!(
                 f,
-                "only {length_s:.1} s have both light and truth, and where so little belongs in the truth's time can be \
-                 chance; {needed_s:.0} s are needed: carry the mote for longer"
+                "only {length_s:.1} s have both light and truth, with their clocks taken to be {low} to {high} s apart, and \
+                 where so little belongs in the truth's time can be chance; {needed_s:.0} s are needed: carry the mote for \
+                 longer, or, if the clocks are farther apart, search further with --offset"
             ),
             Trouble::AtRest { speed_m_per_s } => write!(
                 f,

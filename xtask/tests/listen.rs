@@ -17,7 +17,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
@@ -271,7 +271,8 @@ fn a_file_that_is_no_capture_is_an_error_before_anything_is_shown() {
     for (name, bytes) in [("picture.gif", &b"GIF89a, not a capture"[..]), ("empty.pcap", b"")] {
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).unwrap();
-        let error = source::read(Bench::new().desk.clone(), &path).unwrap_err().to_string();
+        let Err(error) = source::Capture::open(&path) else { panic!("{name} was opened") };
+        let error = error.to_string();
         assert!(error.starts_with(path.to_str().unwrap()) && error.ends_with("neither pcap nor pcapng"), "{error}");
     }
 }
@@ -318,7 +319,7 @@ fn recorded(frames: &[Vec<u8>]) -> Vec<u8> {
     }
     desk.to.send(Heard::State(source, SourceState::Ended, String::new())).unwrap();
     let mut session = Session { desk, from, sinks: vec![Box::new(recorder)], ends: true, until: None };
-    session.listen(&mut View::None).unwrap();
+    session.listen(&mut View::None, &AtomicBool::new(false)).unwrap();
     drop(session);
     fs::read(dir.join("air.pcapng")).unwrap()
 }

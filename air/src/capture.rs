@@ -140,20 +140,16 @@ fn blocks(name: &str, mut from: Bytes<impl Read>, mut take: impl FnMut(&Record<'
         ensure!(from.has(length).with_context(block)?, "{}: ends in the middle", block());
         let again = from.word(length - 4, section.endianness);
         ensure!(again == length, "{}: {length} bytes in front and {again} behind", block());
-        match from.word(0, section.endianness) as u32 {
-            INTERFACE_DESCRIPTION_BLOCK => {
-                let body = &from.next[8..length - 4];
-                let interface = Interface::read(body, section.endianness);
-                let interface = interface.with_context(|| format!("{}: an interface without a link type", block()))?;
-                section.interfaces.push(interface);
-            }
-            kind @ (ENHANCED_PACKET_BLOCK | PACKET_BLOCK | SIMPLE_PACKET_BLOCK) => {
-                if !take(&packet(name, &from, kind, &section)?) {
-                    break;
-                }
-            }
-            // Names, statistics and whatever will come.
-            _ => {}
+        let kind = from.word(0, section.endianness) as u32;
+        // Names, statistics and whatever will come are passed over.
+        if kind == INTERFACE_DESCRIPTION_BLOCK {
+            let interface = Interface::read(&from.next[8..length - 4], section.endianness);
+            let interface = interface.with_context(|| format!("{}: an interface without a link type", block()))?;
+            section.interfaces.push(interface);
+        } else if matches!(kind, ENHANCED_PACKET_BLOCK | PACKET_BLOCK | SIMPLE_PACKET_BLOCK)
+            && !take(&packet(name, &from, kind, &section)?)
+        {
+            break;
         }
         from.next.clear();
     }

@@ -8,7 +8,7 @@
 //! What can go wrong: see each part. Nothing that comes from the air or a receiver ends the listening.
 
 use std::collections::BTreeMap;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use air::receiver::Kind;
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
@@ -62,7 +62,7 @@ pub struct Arguments {
     #[arg(long, value_name = "MOTES", value_parser = clap::value_parser!(u16).range(1..=i64::from(simulate::MOST)))]
     simulate: Option<u16>,
     /// Reports a second of more than 8 simulated motes
-    #[arg(long, value_name = "PER_S", default_value_t = 10.0, value_parser = rate)]
+    #[arg(long, value_name = "PER_S", default_value_t = 10.0, value_parser = rate, allow_negative_numbers = true)]
     rate: f64,
     /// The room: stations and walls for the views, and where simulated motes move
     #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB", default_value = "calib/default.toml")]
@@ -75,7 +75,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     counters: Option<PathBuf>,
     /// End after so long, seconds
-    #[arg(long, value_name = "SECONDS", value_parser = rate)]
+    #[arg(long, value_name = "SECONDS", value_parser = rate, allow_negative_numbers = true)]
     seconds: Option<f64>,
     /// Weigh the listener for so many seconds instead: processor, memory and losses with `--simulate` motes [1000]
     #[arg(long, value_name = "SECONDS", value_parser = rate, conflicts_with_all = ["port", "capture", "record"])]
@@ -90,7 +90,7 @@ pub struct Replay {
     /// The folder that `listen --record` wrote
     dir: PathBuf,
     /// How many times as fast as it happened; 0: as fast as possible
-    #[arg(long, default_value_t = 1.0, value_parser = speed)]
+    #[arg(long, default_value_t = 1.0, value_parser = speed, allow_negative_numbers = true)]
     speed: f64,
     /// The room whose key its frames are under [default: the room that was recorded]
     #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
@@ -131,7 +131,7 @@ struct Views {
 fn rate(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
-        Ok(value) => Err(format!("{value} is not in 0 .. 1000000")),
+        Ok(value) => Err(format!("{value} is not above 0 and up to 1000000")),
         Err(error) => Err(error.to_string()),
     }
 }
@@ -169,10 +169,8 @@ const NEWCOMERS: u16 = 3;
 /// # Errors
 /// Something that was asked for cannot be had, or a file cannot be written.
 pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
-    let calib = match arguments.calib.is_file() {
-        true => arguments.calib.clone(),
-        false => workshop.root.join(&arguments.calib),
-    };
+    let here = arguments.calib.clone();
+    let calib = Some(workshop.root.join(&here)).filter(|there| !here.is_file() && there.is_file()).unwrap_or(here);
     if let Some(seconds) = arguments.measure {
         return measure::measure(&calib, arguments.simulate.unwrap_or(1000), arguments.rate, seconds);
     }
@@ -199,6 +197,7 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
     let scene = motes.map(|_| simulate::scene(&arguments.calib.display().to_string(), &calibration)).transpose()?;
     // Nobody wants to wait for that with a picture in front of them.
     let elf = motes.filter(|motes| *motes <= simulate::VIRTUAL).map(|_| (workshop.build)(&calib)).transpose()?;
+    let views = arguments.views.sinks(&desk.shared)?;
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if key.is_some() {
         let path = arguments.counters.clone().unwrap_or_else(|| calib.with_extension("counters"));
@@ -207,7 +206,7 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
     if let Some(dir) = &arguments.record {
         sinks.push(Box::new(Recorder::create(dir, Some(&calib), desk.shared.clone())?));
     }
-    sinks.extend(arguments.views.sinks(&desk.shared)?);
+    sinks.extend(views);
     desk.started = Instant::now();
     if let (Some(motes), Some(scene)) = (motes, &scene) {
         match &elf {
@@ -361,14 +360,13 @@ impl Session {
             text += &closing(&all);
             text += "\n";
         }
-        for note in self.sinks.iter().filter_map(|sink| sink.note()) {
-            text += &format!("{note}\n");
+        for line in self.sinks.iter().filter_map(|sink| sink.note()) {
+            text += &format!("{line}\n");
         }
-        // Whoever read it may have gone.
-        let _ = match views.json {
-            true => std::io::stderr().write_all(text.as_bytes()),
-            false => std::io::stdout().write_all(text.as_bytes()),
-        };
+        match views.json {
+            true => eprint!("{text}"),
+            false => note(output::say(&mut std::io::stdout(), text.as_bytes())),
+        }
         ensure!(wrong.is_empty(), "{}", wrong.join("\nerror: "));
         Ok(())
     }
@@ -429,10 +427,7 @@ impl Session {
                 for note in self.sinks.iter().filter_map(|sink| sink.note()) {
                     text += &format!("  {note}\n");
                 }
-                let written = std::io::stdout().write_all(text.as_bytes());
-                if written.is_err() {
-                    bail!(ReaderGone);
-                }
+                output::say(&mut std::io::stdout(), text.as_bytes())?;
             }
         }
     }

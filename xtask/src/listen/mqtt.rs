@@ -130,7 +130,7 @@ struct State {
     was_open: bool,
     /// Nothing more is to be said.
     is_over: bool,
-    /// Why it is not open; none before it was tried.
+    /// Why it is not open, if it has been tried.
     cause: Option<String>,
     /// How often it was lost.
     losses: u64,
@@ -386,7 +386,11 @@ impl Sink for Mqtt {
             Some(cause) => format!(", not reached: {cause}"),
             None => ", not reached yet".to_owned(),
         };
-        let losses = if *losses > 0 { format!(", lost {losses} times") } else { String::new() };
+        let losses = match losses {
+            0 => String::new(),
+            1 => ", lost once".to_owned(),
+            losses => format!(", lost {losses} times"),
+        };
         let (broker, left) = (&self.broker, self.left_to_others);
         Some(format!(
             "{broker}{how}: {published} published, {left} left to others, {undelivered} not delivered{losses}"
@@ -471,6 +475,7 @@ fn cause(error: &ConnectionError) -> String {
     match error {
         ConnectionError::Io(error) => error.to_string(),
         ConnectionError::MqttState(rumqttc::StateError::Io(error)) => error.to_string(),
+        ConnectionError::MqttState(error) => error.to_string(),
         ConnectionError::ConnectionRefused(code) => format!("it refuses this client: {code:?}"),
         ConnectionError::NetworkTimeout | ConnectionError::FlushTimeout => "no answer".to_owned(),
         other => other.to_string(),

@@ -338,6 +338,17 @@ impl std::fmt::Display for ReaderGone {
 
 impl std::error::Error for ReaderGone {}
 
+/// Says something on the standard output.
+///
+/// # Errors
+/// [`ReaderGone`], or it cannot be written.
+pub fn say(to: &mut impl Write, text: &[u8]) -> Result<()> {
+    match to.write_all(text).and_then(|()| to.flush()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => bail!(ReaderGone),
+        other => other.context("the standard output cannot be written"),
+    }
+}
+
 impl<W: Write> Sink for JsonLines<W> {
     fn event(&mut self, event: &Event) -> Result<()> {
         serde_json::to_writer(&mut self.lines, event).context("an event that is no JSON")?;
@@ -346,10 +357,10 @@ impl<W: Write> Sink for JsonLines<W> {
     }
 
     fn tick(&mut self) -> Result<()> {
-        let lines = std::mem::take(&mut self.lines);
-        match self.to.write_all(&lines).and_then(|()| self.to.flush()) {
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => bail!(ReaderGone),
-            other => other.context("the standard output cannot be written"),
-        }
+        say(&mut self.to, &std::mem::take(&mut self.lines))
+    }
+
+    fn end(&mut self) -> Result<()> {
+        self.tick()
     }
 }

@@ -77,8 +77,8 @@ pub struct Arguments {
     /// End after so long, seconds
     #[arg(long, value_name = "SECONDS", value_parser = rate, allow_negative_numbers = true)]
     seconds: Option<f64>,
-    /// Weigh the listener for so many seconds instead: processor, memory and losses with `--simulate` motes [1000]
-    #[arg(long, value_name = "SECONDS", value_parser = rate, conflicts_with_all = ["port", "capture", "record"])]
+    /// Weigh the listener for so many seconds instead, by itself: processor, memory and losses with `--simulate` motes [1000]
+    #[arg(long, value_name = "SECONDS", value_parser = rate, conflicts_with_all = ["port", "capture", "record", "counters", "seconds", "csv", "json", "mqtt", "web", "summary"])]
     measure: Option<f64>,
     #[command(flatten)]
     views: Views,
@@ -350,6 +350,7 @@ impl Session {
         note(ended);
         for sink in &mut self.sinks {
             note(sink.end());
+            say_alarm(sink.as_mut());
         }
         let all = model::lock(&self.desk.shared).snapshot(0);
         if let Some(path) = &views.summary {
@@ -395,14 +396,14 @@ impl Session {
             }
             if over || ticked.elapsed() >= TICK {
                 ticked = Instant::now();
+                let mut done = Ok(());
                 for sink in &mut self.sinks {
-                    sink.tick()?;
-                    if let Some(alarm) = sink.alarm()
-                        && !matches!(view, View::Dashboard(_))
-                    {
-                        eprintln!("{alarm}");
+                    done = done.and(sink.tick());
+                    if !matches!(view, View::Dashboard(_)) {
+                        say_alarm(sink.as_mut());
                     }
                 }
+                done?;
             }
             if over {
                 return Ok(());
@@ -456,15 +457,11 @@ impl Session {
             next = if heard.len() < BATCH { self.from.try_recv().ok() } else { None };
         }
         drop(swarm);
-        for sink in &mut self.sinks {
-            for one in &heard {
-                sink.frame(one)?;
-            }
-            for event in &events {
-                sink.event(event)?;
-            }
-        }
-        Ok(())
+        // What one cannot take the others do.
+        self.sinks.iter_mut().fold(Ok(()), |done, sink| {
+            let frames = heard.iter().try_for_each(|one| sink.frame(one));
+            done.and(frames.and_then(|()| events.iter().try_for_each(|event| sink.event(event))))
+        })
     }
 
     fn all_ended(&self) -> bool {
@@ -477,6 +474,12 @@ impl Session {
             count += 1;
         }
         count > 0
+    }
+}
+
+fn say_alarm(sink: &mut dyn Sink) {
+    if let Some(alarm) = sink.alarm() {
+        eprintln!("{alarm}");
     }
 }
 

@@ -430,7 +430,9 @@ impl Line {
                 Err(error) => {
                     let mut state = lock(&self.state);
                     if state.is_over {
-                        state.is_open = false;
+                        if !std::mem::take(&mut state.is_open) {
+                            state.cause = Some(cause(&error));
+                        }
                         return;
                     }
                     self.closed(&mut state, &error);

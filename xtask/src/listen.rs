@@ -458,10 +458,12 @@ impl Session {
         }
         drop(swarm);
         // What one cannot take the others do.
-        self.sinks.iter_mut().fold(Ok(()), |done, sink| {
+        let mut done = Ok(());
+        for sink in &mut self.sinks {
             let frames = heard.iter().try_for_each(|one| sink.frame(one));
-            done.and(frames.and_then(|()| events.iter().try_for_each(|event| sink.event(event))))
-        })
+            done = done.and(frames.and_then(|()| events.iter().try_for_each(|event| sink.event(event))));
+        }
+        done
     }
 
     fn all_ended(&self) -> bool {

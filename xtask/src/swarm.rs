@@ -210,6 +210,7 @@ fn firmware_in_one_room(
     out: &Path,
     build: &dyn Fn(&str) -> Result<Vec<u8>>,
 ) -> Result<()> {
+    let is_asked = every.is_some();
     let out = out.join(every.map_or("firmware".to_string(), |every| format!("firmware-{every}")));
     let every = every.unwrap_or((2 * motes).max(USUAL));
     ensure!(every >= 2 * motes, "--every {every}: {motes} motes need {} half turns, two each", 2 * motes);
@@ -229,16 +230,19 @@ fn firmware_in_one_room(
     let mut bytes = serde_json::Map::new();
     for (name, send, lines, key) in ways {
         let elf = build(&format!("send = \"{send}\"\nreport_every_half_turns = {every}\n{lines}"))?;
-        let heard = firmware::run(&elf, key, motes, FIRMWARE_S, |id| println!("{name}: virtual mote {id} has run"))?;
+        let heard =
+            firmware::run(&elf, key, motes, every, FIRMWARE_S, |id| println!("{name}: virtual mote {id} has run"))?;
         found.push((name, send, heard));
         bytes.insert(name.to_string(), image::package(&elf)?.length().into());
     }
     let mut table = format!("{motes} virtual motes in one room, a report every {every} half turns, {FIRMWARE_S} s\n");
     for (name, _, heard) in &found {
-        let firmware::Heard { fixes, others, lost } = heard;
+        let firmware::Heard { fixes, others, lost, late } = heard;
+        // None is at the usual rates; it is looked for where somebody asks for others.
+        let late = if is_asked { format!(", {late} times one waited for a count") } else { String::new() };
         let _ = writeln!(
             table,
-            "{name:>18}: {fixes} fixes and {others} health frames on the air, {lost} of them overlapped"
+            "{name:>18}: {fixes} fixes and {others} health frames on the air, {lost} of them overlapped{late}"
         );
     }
     print!("\n{table}");

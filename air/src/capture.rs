@@ -17,10 +17,8 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail, ensure};
 use lighthouse_mote::frame::fcs;
 use pcap_file::pcap::{PcapHeader, PcapParser};
-use pcap_file::pcapng::PcapNgParser;
-use pcap_file::pcapng::blocks::interface_description::InterfaceDescriptionOption;
 use pcap_file::pcapng::blocks::{
-    ENHANCED_PACKET_BLOCK, INTERFACE_DESCRIPTION_BLOCK, PACKET_BLOCK, SECTION_HEADER_BLOCK, SIMPLE_PACKET_BLOCK,
+    ENHANCED_PACKET_BLOCK, INTERFACE_DESCRIPTION_BLOCK, PACKET_BLOCK, SIMPLE_PACKET_BLOCK,
 };
 use pcap_file::{DataLink, Endianness, TsResolution};
 
@@ -120,9 +118,10 @@ fn packets(name: &str, mut from: Bytes<impl Read>, mut take: impl FnMut(&Record<
     Ok(())
 }
 
-/// The newer one.
+/// The newer one. A crate reads its blocks too, but refuses the whole capture for an option that it stumbles over
+/// (pcap-file 2.0 over every `if_tzone`), so what is needed of a section and of an interface is read here.
 fn blocks(name: &str, mut from: Bytes<impl Read>, mut take: impl FnMut(&Record<'_>) -> bool) -> Result<()> {
-    let mut parser: Option<PcapNgParser> = None;
+    let mut section = Section { endianness: Endianness::Little, interfaces: Vec::new() };
     for number in 1.. {
         let block = || format!("{name}: block {number}");
         if !from.has(*BLOCK.start()).with_context(block)? {
@@ -130,42 +129,93 @@ fn blocks(name: &str, mut from: Bytes<impl Read>, mut take: impl FnMut(&Record<'
             break;
         }
         // A section says itself which end its numbers begin with.
-        let is_section = from.next.starts_with(&PCAPNG);
-        let endianness = match &parser {
-            Some(parser) if !is_section => parser.section().endianness,
-            _ if from.word(8, Endianness::Big) == BYTE_ORDER => Endianness::Big,
-            _ => Endianness::Little,
-        };
-        let length = from.word(4, endianness);
+        if from.next.starts_with(&PCAPNG) {
+            let ends = [Endianness::Big, Endianness::Little];
+            let said = ends.into_iter().find(|endianness| from.word(8, *endianness) == BYTE_ORDER);
+            let endianness = said.with_context(|| format!("{}: cannot be read as pcapng", block()))?;
+            section = Section { endianness, interfaces: Vec::new() };
+        }
+        let length = from.word(4, section.endianness);
         ensure!(BLOCK.contains(&length) && length.is_multiple_of(4), "{}: {length} bytes, which no block has", block());
         ensure!(from.has(length).with_context(block)?, "{}: ends in the middle", block());
-        let again = from.word(length - 4, endianness);
+        let again = from.word(length - 4, section.endianness);
         ensure!(again == length, "{}: {length} bytes in front and {again} behind", block());
-        let kind = from.word(0, endianness) as u32;
-        match &mut parser {
-            None => {
-                let begun = PcapNgParser::new(&from.next);
-                parser = Some(begun.with_context(|| format!("{name}: cannot be read as pcapng"))?.1);
-            }
-            Some(parser) if matches!(kind, SECTION_HEADER_BLOCK | INTERFACE_DESCRIPTION_BLOCK) => {
-                parser.next_raw_block(&from.next).with_context(block)?;
-            }
-            Some(parser) if matches!(kind, ENHANCED_PACKET_BLOCK | PACKET_BLOCK | SIMPLE_PACKET_BLOCK) => {
-                if !take(&packet(name, &from, kind, parser)?) {
-                    break;
-                }
-            }
-            // Names, statistics and whatever will come.
-            Some(_) => {}
+        let kind = from.word(0, section.endianness) as u32;
+        // Names, statistics and whatever will come are passed over.
+        if kind == INTERFACE_DESCRIPTION_BLOCK {
+            let interface = Interface::read(&from.next[8..length - 4], section.endianness);
+            let interface = interface.with_context(|| format!("{}: an interface without a link type", block()))?;
+            section.interfaces.push(interface);
+        } else if matches!(kind, ENHANCED_PACKET_BLOCK | PACKET_BLOCK | SIMPLE_PACKET_BLOCK)
+            && !take(&packet(name, &from, kind, &section)?)
+        {
+            break;
         }
         from.next.clear();
     }
     Ok(())
 }
 
+/// A part of a capture that one computer wrote.
+struct Section {
+    endianness: Endianness,
+    interfaces: Vec<Interface>,
+}
+
+/// Where frames were captured (pcapng, 4.2).
+struct Interface {
+    link: DataLink,
+    name: Option<String>,
+    /// Of its times, as [`ticks_of`] takes it.
+    resolution: u8,
+    /// To be added to its times, seconds.
+    offset_s: i64,
+}
+
+impl Interface {
+    /// Reads the body of a block. Of its options only these are looked at: name, resolution, offset.
+    fn read(body: &[u8], endianness: Endianness) -> Option<Self> {
+        const NAME: u16 = 2;
+        const RESOLUTION: u16 = 9;
+        const OFFSET: u16 = 14;
+        let half = |bytes: [u8; 2]| match endianness {
+            Endianness::Big => u16::from_be_bytes(bytes),
+            Endianness::Little => u16::from_le_bytes(bytes),
+        };
+        let (head, mut rest) = body.split_first_chunk::<8>()?;
+        let link = DataLink::from(u32::from(half([head[0], head[1]])));
+        let mut interface = Self { link, name: None, resolution: MICROSECONDS, offset_s: 0 };
+        while let Some((&[a, b, c, d], behind)) = rest.split_first_chunk() {
+            let (code, length) = (half([a, b]), usize::from(half([c, d])));
+            let Some(value) = behind.get(..length) else { break };
+            rest = behind.get(length.next_multiple_of(4)..).unwrap_or_default();
+            match (code, value) {
+                (0, _) => break,
+                (NAME, name) => interface.name = Some(String::from_utf8_lossy(name).into_owned()),
+                (RESOLUTION, [power]) => interface.resolution = *power,
+                (OFFSET, bytes) => {
+                    let Ok(bytes) = bytes.try_into() else { continue };
+                    interface.offset_s = match endianness {
+                        Endianness::Big => i64::from_be_bytes(bytes),
+                        Endianness::Little => i64::from_le_bytes(bytes),
+                    };
+                }
+                _ => {}
+            }
+        }
+        Some(interface)
+    }
+
+    /// When that many of its ticks are, since 1970.
+    fn at(&self, ticks: u64) -> Duration {
+        let (at, offset) = (ticks_of(ticks, self.resolution), Duration::from_secs(self.offset_s.unsigned_abs()));
+        if self.offset_s < 0 { at.saturating_sub(offset) } else { at.saturating_add(offset) }
+    }
+}
+
 /// A block that holds a frame (pcapng, 4.3, 4.4 and appendix A), which is there to its end.
-fn packet<'a>(name: &str, from: &'a Bytes<impl Read>, kind: u32, parser: &'a PcapNgParser) -> Result<Record<'a>> {
-    let endianness = parser.section().endianness;
+fn packet<'a>(name: &str, from: &'a Bytes<impl Read>, kind: u32, section: &'a Section) -> Result<Record<'a>> {
+    let endianness = section.endianness;
     let word = |at| from.word(at, endianness);
     let body = &from.next[..from.next.len() - 4];
     // The simple one says how long the frame was on the air; what stands behind that fills the block.
@@ -182,17 +232,9 @@ fn packet<'a>(name: &str, from: &'a Bytes<impl Read>, kind: u32, parser: &'a Pca
         ),
     };
     let damaged = Record { at: None, interface: (id as u32, None), frame: None, rssi_dbm: None, lqi: None };
-    let Some((data, interface)) = data.zip(parser.interfaces().get(id)) else { return Ok(damaged) };
-    let (mut called, mut resolution) = (None, MICROSECONDS);
-    for option in &interface.options {
-        match option {
-            InterfaceDescriptionOption::IfName(name) => called = Some(name.as_ref()),
-            InterfaceDescriptionOption::IfTsResol(power) => resolution = *power,
-            _ => {}
-        }
-    }
-    let at = ticks.map(|ticks| ticks_of(ticks, resolution));
-    Ok(Record { at, interface: (id as u32, called), ..record(name, interface.linktype, data)? })
+    let Some((data, interface)) = data.zip(section.interfaces.get(id)) else { return Ok(damaged) };
+    let at = ticks.map(|ticks| interface.at(ticks));
+    Ok(Record { at, interface: (id as u32, interface.name.as_deref()), ..record(name, interface.link, data)? })
 }
 
 /// What pcapng's `if_tsresol` is where it is not given: 10^-6 s.
@@ -326,6 +368,7 @@ impl<R: Read> Read for Growing<R> {
 
 #[cfg(test)]
 mod tests {
+    use pcap_file::pcapng::blocks::SECTION_HEADER_BLOCK;
     use proptest::prelude::*;
 
     use super::*;
@@ -369,9 +412,21 @@ mod tests {
 
     /// A section with an interface of link type 195, as either kind of computer writes it.
     fn section(endianness: Endianness) -> Vec<u8> {
+        section_with(endianness, &[])
+    }
+
+    /// The same with options of the interface.
+    fn section_with(endianness: Endianness, options: &[(u16, &[u8])]) -> Vec<u8> {
         let (version, link) = if endianness == Endianness::Big { (1 << 16, 195 << 16) } else { (1, 195) };
         let head = block(endianness, SECTION_HEADER_BLOCK, &[BYTE_ORDER as u32, version, u32::MAX, u32::MAX], &[]);
-        [head, block(endianness, INTERFACE_DESCRIPTION_BLOCK, &[link, 0], &[])].concat()
+        let half = |half: u16| if endianness == Endianness::Big { half.to_be_bytes() } else { half.to_le_bytes() };
+        let mut bytes = Vec::new();
+        for (code, value) in options {
+            bytes.extend([half(*code), half(value.len() as u16)].concat());
+            bytes.extend(*value);
+            bytes.resize(bytes.len().next_multiple_of(4), 0);
+        }
+        [head, block(endianness, INTERFACE_DESCRIPTION_BLOCK, &[link, 0], &bytes)].concat()
     }
 
     #[test]
@@ -474,6 +529,43 @@ mod tests {
             let good = |at| (Some(frame.to_vec()), at);
             let bad = (None, None);
             assert_eq!(read, [good(at), bad.clone(), bad.clone(), bad, good(None), good(at)], "{endianness:?}");
+        }
+    }
+
+    #[test]
+    fn options_that_nobody_needs_are_passed_over_and_the_others_are_read_behind_them() {
+        let frame = &whole()[..];
+        let length = frame.len() as u32;
+        for endianness in [Endianness::Big, Endianness::Little] {
+            let long = |number: i64| match endianness {
+                Endianness::Big => number.to_be_bytes(),
+                Endianness::Little => number.to_le_bytes(),
+            };
+            let [ahead, behind] = [long(1000), long(-1)];
+            // A time zone of four bytes (if_tzone), one of one, as some write it, and one of none; a speed that is none; a
+            // text that is no text.
+            let odd: [(u16, &[u8]); 5] = [(10, &[0, 0, 14, 16]), (10, &[1]), (10, &[]), (8, &[1, 2]), (3, b"\xFF\xFE")];
+            let read = |options: &[(u16, &[u8])]| {
+                let frame = block(endianness, ENHANCED_PACKET_BLOCK, &[0, 0, 7_000, length, length], frame);
+                let mut read = Vec::new();
+                records("air", &[section_with(endianness, options), frame].concat()[..], |record| {
+                    let name = record.interface.1.map(str::to_owned);
+                    read.push((name, record.at, record.frame.as_deref().map(<[u8]>::to_vec)));
+                    true
+                })
+                .unwrap();
+                let [(name, Some(at), Some(frame))] = &read[..] else { panic!("{read:?}") };
+                assert_eq!(frame, &whole());
+                (name.clone(), at.as_micros())
+            };
+            assert_eq!(read(&odd), (None, 7_000));
+            let known: [(u16, &[u8]); 3] = [(2, b"roof"), (9, &[3]), (14, &ahead)];
+            let roof = Some("roof".to_owned());
+            assert_eq!(read(&[&odd[..], &known].concat()), (roof.clone(), 1_007_000_000));
+            assert_eq!(read(&[&known[..2], &odd, &[(14, &behind)]].concat()), (roof.clone(), 6_000_000));
+            // Nothing behind the end of the options counts, and an option that runs out of its block ends them.
+            assert_eq!(read(&[known[0], (0, &[]), known[1]]), (roof.clone(), 7_000));
+            assert_eq!(read(&[known[1], (14, &[0; 4])]), (None, 7_000_000));
         }
     }
 

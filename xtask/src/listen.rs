@@ -8,7 +8,7 @@
 //! What can go wrong: see each part. Nothing that comes from the air or a receiver ends the listening.
 
 use std::collections::BTreeMap;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +17,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use air::receiver::Kind;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, ensure};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
 
 mod counters;
 pub mod dashboard;
@@ -36,10 +38,10 @@ use self::model::{Cause, RoomNews, Shared, Snapshot, SourceId, SourceState, Swar
 use self::mqtt::{Broker, Mqtt};
 use self::output::{JsonLines, ReaderGone, Sink, Table};
 use self::record::Recorder;
-use self::source::{Desk, Heard};
+use self::source::{Capture, Desk, Heard};
 use self::web::Web;
 use crate::calib::schema;
-use crate::trust;
+use crate::{trust, whole};
 
 /// What listening may be told.
 #[derive(clap::Args, Debug)]
@@ -60,7 +62,7 @@ pub struct Arguments {
     #[arg(long, value_name = "MOTES", value_parser = clap::value_parser!(u16).range(1..=i64::from(simulate::MOST)))]
     simulate: Option<u16>,
     /// Reports a second of more than 8 simulated motes
-    #[arg(long, value_name = "PER_S", default_value_t = 10.0, value_parser = rate)]
+    #[arg(long, value_name = "PER_S", default_value_t = 10.0, value_parser = rate, allow_negative_numbers = true)]
     rate: f64,
     /// The room: stations and walls for the views, and where simulated motes move
     #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB", default_value = "calib/default.toml")]
@@ -73,10 +75,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     counters: Option<PathBuf>,
     /// End after so long, seconds
-    #[arg(long, value_name = "SECONDS", value_parser = rate)]
+    #[arg(long, value_name = "SECONDS", value_parser = rate, allow_negative_numbers = true)]
     seconds: Option<f64>,
-    /// Weigh the listener for so many seconds instead: processor, memory and losses with `--simulate` motes [1000]
-    #[arg(long, value_name = "SECONDS", value_parser = rate, conflicts_with_all = ["port", "capture", "record"])]
+    /// Weigh the listener for so many seconds instead, by itself: processor, memory and losses with `--simulate` motes [1000]
+    #[arg(long, value_name = "SECONDS", value_parser = rate, conflicts_with_all = ["port", "capture", "record", "counters", "seconds", "csv", "json", "mqtt", "web", "summary"])]
     measure: Option<f64>,
     #[command(flatten)]
     views: Views,
@@ -88,7 +90,7 @@ pub struct Replay {
     /// The folder that `listen --record` wrote
     dir: PathBuf,
     /// How many times as fast as it happened; 0: as fast as possible
-    #[arg(long, default_value_t = 1.0, value_parser = speed)]
+    #[arg(long, default_value_t = 1.0, value_parser = speed, allow_negative_numbers = true)]
     speed: f64,
     /// The room whose key its frames are under [default: the room that was recorded]
     #[arg(long, value_name = "FILE", env = "LIGHTHOUSE_CALIB")]
@@ -129,7 +131,7 @@ struct Views {
 fn rate(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
-        Ok(value) => Err(format!("{value} is not in 0 .. 1000000")),
+        Ok(value) => Err(format!("{value} is not above 0 and up to 1000000")),
         Err(error) => Err(error.to_string()),
     }
 }
@@ -167,27 +169,23 @@ const NEWCOMERS: u16 = 3;
 /// # Errors
 /// Something that was asked for cannot be had, or a file cannot be written.
 pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
-    let calib = match arguments.calib.is_file() {
-        true => arguments.calib.clone(),
-        false => workshop.root.join(&arguments.calib),
-    };
+    let here = arguments.calib.clone();
+    let calib = Some(workshop.root.join(&here)).filter(|there| !here.is_file() && there.is_file()).unwrap_or(here);
     if let Some(seconds) = arguments.measure {
         return measure::measure(&calib, arguments.simulate.unwrap_or(1000), arguments.rate, seconds);
     }
+    // What can be found out is, before anything is made.
     let calibration = schema::open(&calib)?;
+    let captures = arguments.capture.iter().map(|path| Capture::open(path)).collect::<Result<Vec<_>>>()?;
+    arguments.views.check()?;
+    if let Some(dir) = &arguments.record {
+        record::vacant(dir)?;
+    }
     let room = RoomNews::of(&arguments.calib.display().to_string(), &calibration);
     let (mut desk, from) = desk(Some(room));
     let key = trust::key_of(&calibration)?;
     model::lock(&desk.shared).under(key);
-    let mut sinks = arguments.views.sinks(&desk.shared)?;
-    if key.is_some() {
-        let path = arguments.counters.clone().unwrap_or_else(|| calib.with_extension("counters"));
-        sinks.push(Box::new(Counters::open(path, desk.shared.clone())?));
-    }
-    if let Some(dir) = &arguments.record {
-        sinks.push(Box::new(Recorder::create(dir, Some(&calib), desk.shared.clone())?));
-    }
-    let explicit = !arguments.port.is_empty() || !arguments.capture.is_empty() || arguments.simulate.is_some();
+    let explicit = !arguments.port.is_empty() || !captures.is_empty() || arguments.simulate.is_some();
     let newcomer = !explicit && source::receivers()?.is_empty();
     let motes = arguments.simulate.or(newcomer.then_some(NEWCOMERS));
     if newcomer {
@@ -196,20 +194,31 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
              `--port NAME` listens to a port that does not tell what it is."
         );
     }
-    if let Some(motes) = motes {
-        let scene = simulate::scene(&arguments.calib.display().to_string(), &calibration)?;
-        if motes <= simulate::VIRTUAL {
-            // Nobody wants to wait for that with a picture in front of them.
-            let elf = (workshop.build)(&calib)?;
-            desk.started = Instant::now();
-            simulate::virtual_motes(desk.clone(), &elf, &scene, motes)?;
-        } else {
-            let swarm = simulate::Swarm::new(&scene, calibration.mote.pan, motes, arguments.rate);
-            simulate::swarm(desk.clone(), swarm);
+    let scene = motes.map(|_| simulate::scene(&arguments.calib.display().to_string(), &calibration)).transpose()?;
+    // Nobody wants to wait for that with a picture in front of them.
+    let elf = motes.filter(|motes| *motes <= simulate::VIRTUAL).map(|_| (workshop.build)(&calib)).transpose()?;
+    let views = arguments.views.sinks(&desk.shared)?;
+    let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
+    if key.is_some() {
+        let path = arguments.counters.clone().unwrap_or_else(|| calib.with_extension("counters"));
+        sinks.push(Box::new(Counters::open(path, desk.shared.clone())?));
+    }
+    if let Some(dir) = &arguments.record {
+        sinks.push(Box::new(Recorder::create(dir, Some(&calib), desk.shared.clone())?));
+    }
+    sinks.extend(views);
+    desk.started = Instant::now();
+    if let (Some(motes), Some(scene)) = (motes, &scene) {
+        match &elf {
+            Some(elf) => simulate::virtual_motes(desk.clone(), elf, scene, motes)?,
+            None => {
+                let swarm = simulate::Swarm::new(scene, calibration.mote.pan, motes, arguments.rate);
+                simulate::swarm(desk.clone(), swarm);
+            }
         }
     }
-    for path in &arguments.capture {
-        source::read(desk.clone(), path)?;
+    for capture in captures {
+        capture.read(desk.clone());
     }
     for port in &arguments.port {
         let kind = arguments.receiver.unwrap_or_else(|| source::kind_of(port));
@@ -233,8 +242,10 @@ pub fn replay(arguments: &Replay) -> Result<()> {
     let name = kept.unwrap_or_default().display().to_string();
     let (desk, from) = desk(room.map(|room| RoomNews::of(&name, &room)));
     model::lock(&desk.shared).under(key);
+    let recording = record::Recording::open(&arguments.dir)?;
+    arguments.views.check()?;
     let sinks = arguments.views.sinks(&desk.shared)?;
-    record::replay(desk.clone(), &arguments.dir, arguments.speed)?;
+    recording.replay(desk.clone(), arguments.speed);
     Session { desk, from, sinks, ends: true, until: None }.run(&arguments.views)
 }
 
@@ -247,6 +258,27 @@ pub fn desk(room: Option<RoomNews>) -> (Desk, Receiver<Heard>) {
 }
 
 impl Views {
+    /// Whether what is asked for can be had, as far as can be said without making it.
+    fn check(&self) -> Result<()> {
+        if let Some(csv) = &self.csv {
+            output::vacant(csv)?;
+        }
+        if let Some(broker) = self.broker() {
+            broker.check()?;
+        }
+        if let Some(path) = &self.summary {
+            let folder = whole::folder(path);
+            ensure!(folder.is_dir() && !path.is_dir(), "{}: no file can be made there", path.display());
+        }
+        Ok(())
+    }
+
+    fn broker(&self) -> Option<Broker> {
+        let (host, port) = self.mqtt.clone()?;
+        let gateway = self.mqtt_gateway.clone().unwrap_or_else(computer);
+        Some(Broker { host, port, prefix: self.mqtt_prefix.clone(), gateway })
+    }
+
     fn sinks(&self, shared: &Shared) -> Result<Vec<Box<dyn Sink>>> {
         let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
         if let Some(csv) = &self.csv {
@@ -255,15 +287,14 @@ impl Views {
         if self.json {
             sinks.push(Box::new(JsonLines::new(std::io::stdout())));
         }
-        if let Some((host, port)) = self.mqtt.clone() {
-            let gateway = self.mqtt_gateway.clone().unwrap_or_else(computer);
-            let broker = Broker { host, port, prefix: self.mqtt_prefix.clone(), gateway };
-            sinks.push(Box::new(Mqtt::open(broker, shared.clone())?));
-        }
         if let Some(at) = self.web {
             let web = Web::open(at, shared.clone())?;
             eprintln!("Page: {}", web.url());
             sinks.push(Box::new(web));
+        }
+        // The last to end: it may have to wait for the network.
+        if let Some(broker) = self.broker() {
+            sinks.push(Box::new(Mqtt::open(broker, shared.clone())?));
         }
         Ok(sinks)
     }
@@ -300,33 +331,52 @@ impl Session {
         } else {
             View::Lines(Instant::now())
         };
-        let ended = self.listen(&mut view);
+        let enough = interrupts()?;
+        let ended = self.listen(&mut view, &enough);
         // The terminal comes back before anything is said.
         drop(view);
         self.desk.enough.store(true, Ordering::Relaxed);
+        // Whatever went wrong, all else is brought to its end.
+        let mut wrong = Vec::new();
+        let mut note = |done: Result<()>| match done {
+            Err(error) if !error.is::<ReaderGone>() => {
+                let error = format!("{error:#}");
+                if !wrong.contains(&error) {
+                    wrong.push(error);
+                }
+            }
+            _ => {}
+        };
+        note(ended);
         for sink in &mut self.sinks {
-            sink.end()?;
-        }
-        let reader_gone = matches!(&ended, Err(error) if error.is::<ReaderGone>());
-        if !reader_gone {
-            ended?;
+            note(sink.end());
+            say_alarm(sink.as_mut());
         }
         let all = model::lock(&self.desk.shared).snapshot(0);
         if let Some(path) = &views.summary {
-            let text = serde_json::to_vec_pretty(&all).context("a summary that is no JSON")?;
-            std::fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))?;
+            note(whole::json(path, &all));
         }
+        let mut text = String::new();
         if !views.json {
-            println!("{}", closing(&all));
+            text += &closing(&all);
+            text += "\n";
         }
+        for line in self.sinks.iter().filter_map(|sink| sink.note()) {
+            text += &format!("{line}\n");
+        }
+        match views.json {
+            true => eprint!("{text}"),
+            false => note(output::say(&mut std::io::stdout(), text.as_bytes())),
+        }
+        ensure!(wrong.is_empty(), "{}", wrong.join("\nerror: "));
         Ok(())
     }
 
-    /// Takes what comes and shows it.
+    /// Takes what comes and shows it, until somebody sets `enough` or wants to leave.
     ///
     /// # Errors
     /// A sink cannot be written.
-    pub fn listen(&mut self, view: &mut View) -> Result<()> {
+    pub fn listen(&mut self, view: &mut View, enough: &AtomicBool) -> Result<()> {
         let mut ticked = Instant::now();
         let mut drawn: Option<Instant> = None;
         loop {
@@ -338,15 +388,22 @@ impl Session {
                 Err(RecvTimeoutError::Timeout) => self.ends && self.all_ended(),
                 Err(RecvTimeoutError::Disconnected) => true,
             };
-            let over = nobody_left || self.until.is_some_and(|until| self.desk.started.elapsed() >= until);
+            let over = nobody_left
+                || enough.load(Ordering::Relaxed)
+                || self.until.is_some_and(|until| self.desk.started.elapsed() >= until);
             if !self.ends {
                 model::lock(&self.desk.shared).pass(self.desk.now_s());
             }
             if over || ticked.elapsed() >= TICK {
                 ticked = Instant::now();
+                let mut done = Ok(());
                 for sink in &mut self.sinks {
-                    sink.tick()?;
+                    done = done.and(sink.tick());
+                    if !matches!(view, View::Dashboard(_)) {
+                        say_alarm(sink.as_mut());
+                    }
                 }
+                done?;
             }
             if over {
                 return Ok(());
@@ -371,10 +428,7 @@ impl Session {
                 for note in self.sinks.iter().filter_map(|sink| sink.note()) {
                     text += &format!("  {note}\n");
                 }
-                let written = std::io::stdout().write_all(text.as_bytes());
-                if written.is_err() {
-                    bail!(ReaderGone);
-                }
+                output::say(&mut std::io::stdout(), text.as_bytes())?;
             }
         }
     }
@@ -403,15 +457,13 @@ impl Session {
             next = if heard.len() < BATCH { self.from.try_recv().ok() } else { None };
         }
         drop(swarm);
+        // What one cannot take the others do.
+        let mut done = Ok(());
         for sink in &mut self.sinks {
-            for one in &heard {
-                sink.frame(one)?;
-            }
-            for event in &events {
-                sink.event(event)?;
-            }
+            let frames = heard.iter().try_for_each(|one| sink.frame(one));
+            done = done.and(frames.and_then(|()| events.iter().try_for_each(|event| sink.event(event))));
         }
-        Ok(())
+        done
     }
 
     fn all_ended(&self) -> bool {
@@ -425,6 +477,23 @@ impl Session {
         }
         count > 0
     }
+}
+
+fn say_alarm(sink: &mut dyn Sink) {
+    if let Some(alarm) = sink.alarm() {
+        eprintln!("{alarm}");
+    }
+}
+
+/// What Ctrl-C sets, and whoever asks the program to end. A second Ctrl-C does not wait.
+fn interrupts() -> Result<Arc<AtomicBool>> {
+    const AT_ONCE: i32 = 130;
+    let enough = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        let again = flag::register_conditional_shutdown(signal, AT_ONCE, enough.clone());
+        again.and_then(|_| flag::register(signal, enough.clone())).context("Ctrl-C cannot be waited for")?;
+    }
+    Ok(enough)
 }
 
 /// What belongs to no frame is counted in bytes too.

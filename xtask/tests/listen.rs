@@ -17,7 +17,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
@@ -271,7 +271,8 @@ fn a_file_that_is_no_capture_is_an_error_before_anything_is_shown() {
     for (name, bytes) in [("picture.gif", &b"GIF89a, not a capture"[..]), ("empty.pcap", b"")] {
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).unwrap();
-        let error = source::read(Bench::new().desk.clone(), &path).unwrap_err().to_string();
+        let Err(error) = source::Capture::open(&path) else { panic!("{name} was opened") };
+        let error = error.to_string();
         assert!(error.starts_with(path.to_str().unwrap()) && error.ends_with("neither pcap nor pcapng"), "{error}");
     }
 }
@@ -318,7 +319,7 @@ fn recorded(frames: &[Vec<u8>]) -> Vec<u8> {
     }
     desk.to.send(Heard::State(source, SourceState::Ended, String::new())).unwrap();
     let mut session = Session { desk, from, sinks: vec![Box::new(recorder)], ends: true, until: None };
-    session.listen(&mut View::None).unwrap();
+    session.listen(&mut View::None, &AtomicBool::new(false)).unwrap();
     drop(session);
     fs::read(dir.join("air.pcapng")).unwrap()
 }
@@ -565,12 +566,16 @@ fn mosquitto() -> Option<PathBuf> {
 
 impl Mosquitto {
     fn start() -> Option<Self> {
+        Self::start_at(port::free)
+    }
+
+    fn start_at(port: impl Fn() -> u16) -> Option<Self> {
         let program = mosquitto()?;
         let home = tempfile::tempdir().unwrap();
         let settings = home.path().join("mosquitto.conf");
         let until = Instant::now() + LONG;
         loop {
-            let port = port::free();
+            let port = port();
             fs::write(&settings, format!("listener {port} 127.0.0.1\nallow_anonymous true\n")).unwrap();
             let mut command = Command::new(&program);
             let child = command.arg("-c").arg(&settings).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
@@ -753,4 +758,295 @@ fn two_gateways_that_hear_the_same_at_once_say_it_once() {
     // Once where both begin, and where one is late on a busy computer. Without turns: 366 to 1389 and 1 to 782.
     assert!(handed_over <= 4 * u32::from(MOTES), "{handed_over}");
     assert!(stale <= 2 * u32::from(MOTES), "{stale}");
+}
+
+/// A capture of thirty reports of one mote in a folder.
+fn thirty(home: &Path) -> String {
+    let path = home.join("air.pcap");
+    let frames: Vec<Vec<u8>> = (0..30).map(|sequence| fix(3, sequence)).collect();
+    fs::write(&path, captured(195, &frames, <[u8]>::to_vec)).expect("a capture");
+    path.to_str().expect("a plain path").to_owned()
+}
+
+#[test]
+fn a_broker_that_is_never_there_is_an_error_in_the_end_and_costs_nothing_else() {
+    let home = tempfile::tempdir().unwrap();
+    let at = |name: &str| home.path().join(name).to_str().expect("a plain path").to_owned();
+    let (air, take, summary, csv) = (thirty(home.path()), at("take"), at("all.json"), at("fixes.csv"));
+    let address = format!("127.0.0.1:{}", port::free());
+    let words =
+        ["listen", "--capture", &air, "--record", &take, "--summary", &summary, "--csv", &csv, "--mqtt", &address];
+    let done = xtask(&words).output().expect("it starts");
+    let said = [&done.stdout, &done.stderr].map(|said| String::from_utf8_lossy(said).into_owned());
+    assert_eq!(done.status.code(), Some(1), "{said:?}");
+    // At once and in the end, with where and why.
+    let [first, last] = [0, 1].map(|line| said[1].lines().nth(line).expect("two lines").to_owned());
+    let broker = format!("broker {address}");
+    assert!(first.starts_with(&format!("{broker}: cannot be reached: Connection refused")), "{first}");
+    assert!(last.starts_with(&format!("error: {broker} was never reached: Connection refused")), "{last}");
+    assert!(said[0].contains("30 frames, 0 heard twice") && said[0].contains("0 published"), "{}", said[0]);
+    let (frames, end) = frames_of(Path::new(&take));
+    end.expect("whole to its last block");
+    assert_eq!((frames, rows_of(&Path::new(&take).join("fixes.csv")), rows_of(Path::new(&csv))), (30, 30, 30));
+    let all: Value = serde_json::from_slice(&fs::read(&summary).expect("a summary")).expect("JSON");
+    assert_eq!(all["motes"][0]["frames"], 30);
+    // A name that nobody has, and where nothing shows it but the standard error.
+    let words = ["replay", &take, "--speed", "0", "--json", "--mqtt", "no-such-host.invalid"];
+    let done = xtask(&words).output().expect("it starts");
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(!done.status.success() && said.contains("broker no-such-host.invalid:1883 was never reached: "), "{said}");
+    assert_eq!(String::from_utf8_lossy(&done.stdout).lines().count(), 30);
+}
+
+/// Tells a program to end.
+fn interrupt(child: &Running) {
+    let told = Command::new("kill").args(["-INT", &child.0.id().to_string()]).status().expect("it starts");
+    assert!(told.success());
+}
+
+/// The number in front of `what`, in the last line that has it.
+fn number(text: &str, what: &str) -> u64 {
+    let words = |line: &str| line.split(what).next().and_then(|before| before.split(' ').next_back()?.parse().ok());
+    text.lines().rev().find(|line| line.contains(what)).and_then(words).unwrap_or_else(|| panic!("{what}: {text}"))
+}
+
+#[test]
+fn a_broker_that_is_lost_and_comes_back_is_survived_and_what_it_missed_is_counted() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (port, home) = (broker.port, tempfile::tempdir().unwrap());
+    let at = |name: &str| home.path().join(name);
+    let address = format!("127.0.0.1:{port}");
+    let mut words = vec!["listen", "--simulate", "12", "--plain", "--mqtt", &address, "--mqtt-gateway", "roof"];
+    let (take, summary) = (at("take"), at("all.json"));
+    words.extend(["--record", take.to_str().unwrap(), "--summary", summary.to_str().unwrap()]);
+    let mut command = xtask(&words);
+    let mut gateway = Running(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
+    let mut shown = gateway.0.stdout.take().unwrap();
+    let shown = std::thread::spawn(move || {
+        let mut text = String::new();
+        shown.read_to_string(&mut text).expect("text");
+        text
+    });
+    let mut alarms = BufReader::new(gateway.0.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let mut count = 0;
+    let mut heard = |broker: &Mosquitto, enough: u64| {
+        let mut motes = std::collections::BTreeSet::new();
+        let from = count;
+        broker.hear(|topic, _, _| {
+            if topic.starts_with("lighthouse/4c48/") {
+                motes.insert(topic.to_owned());
+                count += 1;
+            }
+            motes.len() == 12 && count - from >= enough
+        });
+    };
+    heard(&broker, 100);
+    drop(broker);
+    let lost = alarms.next().expect("it is said");
+    assert!(lost.starts_with(&format!("broker {address}: lost: ")) && lost.contains("all else goes on"), "{lost}");
+    // Long enough that something is missed.
+    std::thread::sleep(Duration::from_secs(1));
+    let broker = Mosquitto::start_at(|| port).expect("as before");
+    assert_eq!(alarms.next().as_deref(), Some(&*format!("broker {address}: is there")));
+    // It knows nothing of before, and is told of every mote.
+    heard(&broker, 100);
+    interrupt(&gateway);
+    let offline = |topic: &str, payload: &[u8], _: bool| topic == "lighthouse/gateway/roof" && payload == b"offline";
+    broker.hear(offline);
+    assert!(gateway.0.wait().expect("it ends").success());
+    let rest: Vec<String> = alarms.collect();
+    assert!(rest.is_empty(), "{rest:?}");
+    let shown = shown.join().unwrap();
+    let last = shown.lines().last().expect("a line");
+    assert!(last.starts_with(&format!("broker {address}: ")) && last.ends_with(", lost once"), "{last}");
+    // Whatever was heard was said; a second of 12 motes is a hundred messages, but on a computer that is busy.
+    let (published, missed) = (number(last, " published"), number(last, " not delivered"));
+    assert!(published + missed >= count && missed > 0, "{last}, {count} heard");
+    // And nothing of it is missing where it was recorded.
+    let (frames, end) = frames_of(&take);
+    end.expect("whole to its last block");
+    let all: Value = serde_json::from_slice(&fs::read(&summary).expect("a summary")).expect("JSON");
+    assert_eq!(all["frames"], frames);
+    assert!(all["motes"].as_array().unwrap().iter().all(|mote| mote["lost"] == 0), "{all}");
+}
+
+#[test]
+fn a_broker_that_is_gone_at_the_end_is_an_error() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let address = format!("127.0.0.1:{}", broker.port);
+    let words = ["listen", "--simulate", "12", "--json", "--mqtt", &address, "--mqtt-gateway", "roof"];
+    let mut gateway = Running(xtask(&words).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
+    broker.hear(|topic, _, _| topic == "lighthouse/4c48/7");
+    drop(broker);
+    let mut alarms = BufReader::new(gateway.0.stderr.take().unwrap()).lines().map_while(Result::ok);
+    assert!(alarms.next().is_some_and(|lost| lost.contains(": lost: ")));
+    interrupt(&gateway);
+    assert_eq!(gateway.0.wait().expect("it ends").code(), Some(1));
+    let error = alarms.last().expect("an error");
+    assert!(error.starts_with(&format!("error: broker {address} went away and did not come back: ")), "{error}");
+}
+
+#[test]
+fn a_disk_that_is_full_is_an_error_and_what_was_recorded_reads() {
+    let home = tempfile::tempdir().unwrap();
+    let (take, csv) = (home.path().join("take"), home.path().join("fixes.csv"));
+    // No file may be longer than 100 blocks of 512 or 1024 bytes: what is written is cut there, as on a disk.
+    let mut command = Command::new("sh");
+    command.args(["-c", "trap '' XFSZ; ulimit -f 100; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_xtask")]);
+    command.args(["listen", "--simulate", "200", "--plain", "--csv"]).arg(&csv).arg("--record").arg(&take);
+    let done =
+        command.env_remove("LIGHTHOUSE_CALIB").current_dir(env!("CARGO_MANIFEST_DIR")).output().expect("it starts");
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(!done.status.success() && said.contains(": cannot be written: "), "{said}");
+    let (frames, end) = frames_of(&take);
+    end.expect("whole to its last block");
+    assert!(frames > 0);
+    for table in [&csv, &take.join("fixes.csv")] {
+        let mut rows = csv::Reader::from_path(table).expect("a table");
+        let rows = rows.records().collect::<Result<Vec<_>, _>>().expect("whole to its last row");
+        assert!(!rows.is_empty() && fs::read_to_string(table).unwrap().ends_with('\n'));
+    }
+}
+
+#[test]
+fn what_cannot_be_had_is_said_before_anything_is_made() {
+    let home = tempfile::tempdir().unwrap();
+    let at = |name: &str| home.path().join(name).to_str().expect("a plain path").to_owned();
+    fs::write(at("there.csv"), "mine").unwrap();
+    let taken = std::net::TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let web = taken.local_addr().unwrap().to_string();
+    let [missing, there, nowhere] = ["missing.pcap", "there.csv", "no/such.json"].map(at);
+    for (words, says) in [
+        (["--capture", &missing], "missing.pcap: cannot be read"),
+        (["--csv", &there], "there.csv: is there already and is not overwritten"),
+        (["--summary", &nowhere], "no/such.json: no file can be made there"),
+        (["--web", &web], "cannot be served"),
+        (["--mqtt-prefix", "a#b"], "\"a#b\" cannot be part of a topic"),
+        (["--rate", "-1"], "-1 is not above 0"),
+    ] {
+        let take = at("take");
+        let done =
+            xtask(&["listen", "--simulate", "12", "--mqtt", "127.0.0.1:1", "--record", &take]).args(words).output();
+        let done = done.expect("it starts");
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert!(!done.status.success() && said.contains(says), "{words:?}: {said}");
+        assert!(!Path::new(&take).exists(), "{words:?}");
+    }
+}
+
+// --- ROS 2 ---
+
+/// The recipe as it stands in the manual.
+fn recipe() -> &'static str {
+    let manual = include_str!("../../docs/listening.md");
+    let (_, behind) = manual.split_once("```python\n").expect("a recipe");
+    behind.split_once("```").expect("its end").0
+}
+
+/// What the recipe publishes of these messages: when, topic, payload, retained.
+fn poses(messages: &[(f64, String, String, bool)]) -> Option<Vec<Value>> {
+    if Command::new("python3").arg("--version").output().is_err() {
+        eprintln!("skipped: python3 is not installed");
+        return None;
+    }
+    let home = tempfile::tempdir().unwrap();
+    let [recipe_file, messages_file, player] =
+        ["recipe.py", "messages.json", "ros.py"].map(|name| home.path().join(name));
+    fs::write(&recipe_file, recipe()).unwrap();
+    fs::write(&messages_file, serde_json::to_vec(messages).unwrap()).unwrap();
+    fs::write(&player, include_str!("listen/ros.py")).unwrap();
+    let done = Command::new("python3").args([player, recipe_file, messages_file]).output().expect("it starts");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    Some(serde_json::from_slice(&done.stdout).expect("JSON"))
+}
+
+#[test]
+fn the_recipe_for_ros_makes_one_pose_of_each_position_whoever_says_it_and_in_whatever_order() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let address = format!("127.0.0.1:{}", broker.port);
+    let words = ["listen", "--simulate", "12", "--json", "--mqtt", &address, "--mqtt-gateway", "roof"];
+    let _gateway = Running(xtask(&words).stdout(Stdio::null()).spawn().unwrap());
+    let mut real = Vec::new();
+    broker.hear(|topic, payload, retained| {
+        real.push((topic.to_owned(), String::from_utf8(payload.to_vec()).expect("text"), retained));
+        real.len() >= 400
+    });
+    let json = |payload: &str| serde_json::from_str::<Value>(payload).expect("JSON");
+    // What the broker says, each once more as from another gateway, and then the one before.
+    let mut said = Vec::new();
+    let mut before = std::collections::BTreeMap::<String, String>::new();
+    let (mut positions, mut at_s) = (Vec::new(), 100.0);
+    for (topic, payload, retained) in &real {
+        at_s += 0.01;
+        said.push((at_s, topic.clone(), payload.clone(), *retained));
+        if topic.starts_with("lighthouse/gateway/") || *retained {
+            continue;
+        }
+        let mut mote = json(payload);
+        let position = (topic.clone(), mote["fix"]["sequence"].clone());
+        if !mote["fix"].is_null() && positions.iter().all(|(known, _)| *known != position) {
+            positions.push((position, mote["fix"].clone()));
+        }
+        mote["gateway"] = "cellar".into();
+        said.push((at_s, topic.clone(), mote.to_string(), false));
+        if let Some(older) = before.insert(topic.clone(), payload.clone()) {
+            said.push((at_s, topic.clone(), older, false));
+        }
+    }
+    let Some(poses) = poses(&said) else { return };
+    assert!(positions.len() > 250, "{} positions of {} messages", positions.len(), real.len());
+    assert_eq!(poses.len(), positions.len());
+    for (pose, ((topic, _), fix)) in poses.iter().zip(&positions) {
+        let mote = topic.rsplit('/').next().unwrap();
+        assert_eq!((&pose["topic"], &pose["frame"]), (&format!("mote_4c48_{mote}/pose").into(), &"room".into()));
+        assert_eq!(pose["position_m"], fix["position_m"]);
+        let close = |one: &Value, other: f64| (one.as_f64().unwrap() - other).abs() < 1e-6;
+        assert!(close(&pose["before_s"], fix["ago_s"].as_f64().unwrap()), "{pose}: {fix}");
+        for axis in 0..3 {
+            let sd = fix["sd_m"][axis].as_f64().unwrap();
+            assert!(
+                close(&pose["covariance"][7 * axis], sd * sd) && pose["covariance"][7 * (axis + 3)] == 1e6,
+                "{pose}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_recipe_for_ros_counts_round_and_takes_a_mote_that_starts_anew() {
+    let message = |sequence: u16, fix: Option<u16>, x: f64| {
+        let fix = fix.map(|sequence| serde_json::json!({ "ago_s": 0.0, "sequence": sequence, "position_m": [x, 0.0, 0.0], "sd_m": null }));
+        serde_json::json!({ "pan": 0x4C48, "mote": 7, "is_conflict": false, "sequence": sequence, "fix": fix })
+    };
+    let none = serde_json::json!({ "ago_s": 0.0, "sequence": 4, "position_m": null, "sd_m": null });
+    let with = |mut message: Value, name: &str, value: Value| {
+        message[name] = value;
+        message
+    };
+    let told = [
+        // When, what, and whether it is a pose.
+        (0.0, message(65_534, Some(65_534), 1.0), true),
+        (0.1, message(65_535, Some(65_534), 1.0), false),
+        (0.2, message(1, Some(0), 2.0), true),
+        (0.3, message(0, Some(0), 2.0), false),
+        (0.4, message(65_535, Some(65_534), 1.0), false),
+        (0.5, message(2, Some(2), 3.0), true),
+        (0.6, message(3, None, 0.0), false),
+        (0.7, with(message(4, None, 0.0), "fix", none), false),
+        (0.8, with(message(5, Some(5), 4.0), "is_conflict", true.into()), false),
+        (0.9, message(6, Some(6), 5.0), true),
+        // It has started anew: nobody can tell, until it was silent.
+        (1.0, message(0, Some(0), 6.0), false),
+        (5.8, message(1, Some(1), 7.0), false),
+        (6.0, message(0, Some(0), 8.0), true),
+        (6.1, message(1, Some(1), 9.0), true),
+    ];
+    let topic = || "lighthouse/4c48/7".to_owned();
+    let mut said = vec![(0.0, "lighthouse/gateway/roof".to_owned(), "online".to_owned(), true)];
+    said.push((0.0, topic(), message(65_535, Some(65_535), 0.5).to_string(), true));
+    said.extend(told.iter().map(|(at_s, message, _)| (*at_s, topic(), message.to_string(), false)));
+    let Some(poses) = poses(&said) else { return };
+    let seen: Vec<&Value> = poses.iter().map(|pose| &pose["position_m"][0]).collect();
+    let due: Vec<&Value> = told.iter().filter(|told| told.2).map(|told| &told.1["fix"]["position_m"][0]).collect();
+    assert_eq!(seen, due);
 }

@@ -6,10 +6,11 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 
 use super::model::{Event, Shared, lock};
 use super::output::Sink;
+use crate::whole::folder;
 
 /// How often they are written.
 const EVERY: Duration = Duration::from_secs(10);
@@ -25,8 +26,9 @@ impl Counters {
     /// Takes what an earlier listener left at `path`.
     ///
     /// # Errors
-    /// A file that holds something else.
+    /// A file that holds something else, or no folder for one.
     pub(super) fn open(path: PathBuf, shared: Shared) -> Result<Self> {
+        ensure!(folder(&path).is_dir(), "{}: no file can be made there", path.display());
         lock(&shared).guard_mut().load(&path)?;
         Ok(Self { path, shared, written: Instant::now() })
     }

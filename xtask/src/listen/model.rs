@@ -500,6 +500,8 @@ pub struct MoteNews {
 pub struct MoteFix {
     /// Seconds ago.
     pub ago_s: f64,
+    /// Of its frame; other frames may have come after it.
+    pub sequence: u16,
     /// `none`, `angles`, `tracked`, `full`.
     pub level: &'static str,
     /// World x, y, z, metres; none below `tracked`.
@@ -934,7 +936,8 @@ struct Voice {
     signal: Signal,
     ears: Vec<(SourceId, f64, Signal)>,
     arrivals: VecDeque<f64>,
-    fix: Option<(f64, Report)>,
+    /// When it came, its sequence, what it says.
+    fix: Option<(f64, u16, Report)>,
     health: Option<Health>,
     trail: VecDeque<[f32; 4]>,
 }
@@ -1058,7 +1061,7 @@ impl Voice {
                 if late {
                     return;
                 }
-                self.fix = Some((at_s, *report));
+                self.fix = Some((at_s, self.newest, *report));
                 let due = self.trail.back().is_none_or(|last| at_s - f64::from(last[0]) >= TRAIL_EVERY_S - 1e-3);
                 if report.level >= Level::Tracked && due {
                     if self.trail.len() >= TRAIL {
@@ -1116,7 +1119,7 @@ impl Voice {
             signal: self.signal,
             silent_s: now_s - self.heard_s,
             sequence: self.newest,
-            fix: self.fix.as_ref().map(|(at_s, report)| mote_fix(now_s - at_s, report)),
+            fix: self.fix.as_ref().map(|(at_s, sequence, report)| mote_fix(now_s - at_s, *sequence, report)),
             condition: self.health.as_ref().map(condition),
             fixes_per_s: self.rate(now_s),
             frames: self.frames,
@@ -1124,7 +1127,7 @@ impl Voice {
             duplicates: self.duplicates,
             late: self.late,
             restarts: self.restarts,
-            own_losses: self.fix.as_ref().map(|(_, report)| {
+            own_losses: self.fix.as_ref().map(|(.., report)| {
                 let frame::Losses { edges, pulses, sweeps, fixes, reports } = report.losses;
                 OwnLosses { edges, pulses, sweeps, fixes, reports }
             }),
@@ -1144,12 +1147,13 @@ pub fn level(level: Level) -> &'static str {
     }
 }
 
-fn mote_fix(ago_s: f64, report: &Report) -> MoteFix {
+fn mote_fix(ago_s: f64, sequence: u16, report: &Report) -> MoteFix {
     let known = report.level >= Level::Tracked;
     let velocity: [f64; 3] = report.velocity.map(f64::from);
     let sd: [f64; 3] = report.sd.map(f64::from);
     MoteFix {
         ago_s,
+        sequence,
         level: level(report.level),
         position_m: known.then(|| report.position.map(f64::from)),
         velocity_m_per_s: known.then_some(velocity),
@@ -1163,7 +1167,7 @@ fn mote_fix(ago_s: f64, report: &Report) -> MoteFix {
 
 fn fix(origin: Origin, report: &Report) -> Fix {
     let MoteFix { level, position_m, velocity_m_per_s, sd_m, mismatch_m, angle_age_s, stations_seen, .. } =
-        mote_fix(0.0, report);
+        mote_fix(0.0, origin.sequence, report);
     Fix {
         origin,
         mote_ticks: report.time,

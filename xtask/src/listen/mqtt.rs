@@ -12,17 +12,18 @@
 //! hear equally well and equally fast is published once, and a gateway that no longer hears it is followed by another within
 //! half a second. Two may still say the same where both begin, or both take over, within the time a message takes.
 //!
-//! What can go wrong: no broker, or one that goes away. It is tried again every second, and what happened meanwhile is
-//! not sent late: only the newest counts.
+//! What can go wrong: no broker, or one that goes away. It is tried again every second while everything else goes on, and
+//! what happened meanwhile is not sent late: only the newest of each mote is, the rest is counted. So is what was on its
+//! way: this gateway reads its own messages too, and what the broker has not handed back by the time the line is lost was
+//! not delivered. One that was never reached, or that is not there in the end, is an error in the end.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result, bail};
-use rumqttc::{Client, Connection, Event as Wire, LastWill, MqttOptions, Packet, QoS};
+use anyhow::{Context, Result, ensure};
+use rumqttc::{Client, Connection, ConnectionError, Event as Wire, LastWill, MqttOptions, Packet, QoS};
 use serde::{Deserialize, Serialize};
 
 use super::model::{self, Event, MoteNews, Shared};
@@ -42,6 +43,8 @@ const KEEP_ALIVE: Duration = Duration::from_secs(10);
 const WAITING: usize = 16_384;
 /// How long the last message may take.
 const GOODBYE: Duration = Duration::from_secs(2);
+/// How long after a broker was not there it is tried again.
+const AGAIN: Duration = Duration::from_secs(1);
 
 /// Where to publish.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -119,21 +122,52 @@ struct Held {
     until: Instant,
 }
 
+/// How the line is; both its ends know it.
+#[derive(Debug, Default)]
+struct State {
+    is_open: bool,
+    /// It was, once.
+    was_open: bool,
+    /// Nothing more is to be said.
+    is_over: bool,
+    /// Why it is not open, if it has been tried.
+    cause: Option<String>,
+    /// How often it was lost.
+    losses: u64,
+    /// Messages that the broker took, or is about to.
+    published: u64,
+    /// Of these, what it has not handed back yet.
+    under_way: u64,
+    /// Messages that never came to it.
+    undelivered: u64,
+    /// What nobody should miss.
+    alarms: Vec<String>,
+}
+
+impl State {
+    /// What is under way will not come.
+    fn give_up(&mut self) {
+        let lost = std::mem::take(&mut self.under_way);
+        self.published -= lost;
+        self.undelivered += lost;
+    }
+}
+
 /// A line to a broker.
 pub struct Mqtt {
     broker: Broker,
     shared: Shared,
     client: Client,
     line: Option<JoinHandle<()>>,
-    is_open: Arc<AtomicBool>,
-    over: Arc<AtomicBool>,
+    state: Arc<Mutex<State>>,
     speakers: Speakers,
+    /// What is to be published next.
     news: BTreeSet<Whose>,
+    /// What was due while the broker was away.
+    overdue: BTreeSet<Whose>,
     held: BTreeMap<Whose, Held>,
     last: Instant,
-    published: u64,
     left_to_others: u64,
-    dropped: Arc<AtomicU64>,
 }
 
 impl Mqtt {
@@ -142,47 +176,53 @@ impl Mqtt {
     /// # Errors
     /// The prefix or the name is none that a topic can have.
     pub fn open(broker: Broker, shared: Shared) -> Result<Self> {
-        for part in [&broker.prefix, &broker.gateway] {
-            if part.is_empty() || part.contains(['#', '+', '\0']) {
-                bail!("{part:?} cannot be part of a topic");
-            }
-        }
+        broker.check()?;
         let id = format!("{}-{}-{}", broker.prefix, broker.gateway, std::process::id());
         let mut options = MqttOptions::new(id, &broker.host, broker.port);
         options.set_keep_alive(KEEP_ALIVE);
         options.set_last_will(LastWill::new(gateway_topic(&broker), "offline", QoS::AtLeastOnce, true));
         let (client, connection) = Client::new(options, WAITING);
-        let is_open = Arc::new(AtomicBool::new(false));
-        let over = Arc::new(AtomicBool::new(false));
+        let state = Arc::<Mutex<State>>::default();
         let speakers = Speakers::default();
-        let line = Line {
-            broker: broker.clone(),
-            client: client.clone(),
-            is_open: is_open.clone(),
-            over: over.clone(),
-            speakers: speakers.clone(),
-        };
+        let line =
+            Line { broker: broker.clone(), client: client.clone(), state: state.clone(), speakers: speakers.clone() };
         let line = spawn(move || line.run(connection));
         Ok(Self {
             broker,
             shared,
             client,
             line: Some(line),
-            is_open,
-            over,
+            state,
             speakers,
             news: BTreeSet::new(),
+            overdue: BTreeSet::new(),
             held: BTreeMap::new(),
             last: Instant::now(),
-            published: 0,
             left_to_others: 0,
-            dropped: Arc::default(),
         })
+    }
+
+    fn is_open(&self) -> bool {
+        lock(&self.state).is_open
+    }
+
+    /// Keeps what is due until the broker is back, and counts what that takes the place of.
+    fn wait(&mut self) {
+        // Who speaks for whom will have changed.
+        self.news.extend(std::mem::take(&mut self.held).into_keys());
+        if self.last.elapsed() < EVERY {
+            return;
+        }
+        self.last = Instant::now();
+        let news = std::mem::take(&mut self.news);
+        let replaced = news.into_iter().filter(|whose| !self.overdue.insert(*whose)).count();
+        lock(&self.state).undelivered += replaced as u64;
     }
 
     /// Publishes what is new, but for what another is to say.
     fn publish(&mut self) -> Result<()> {
-        let news = std::mem::take(&mut self.news);
+        let mut news = std::mem::take(&mut self.news);
+        news.append(&mut self.overdue);
         self.say(news.into_iter().map(|whose| (whose, None)))
     }
 
@@ -223,14 +263,51 @@ impl Mqtt {
             }
             let payload = Payload { gateway: &self.broker.gateway, time_unix_s, mote };
             let payload = serde_json::to_vec(&payload).context("a mote that is no JSON")?;
-            match self.client.try_publish(topic, QoS::AtMostOnce, true, payload) {
-                Ok(()) => self.published += 1,
-                Err(_) => {
-                    self.dropped.fetch_add(1, Ordering::Relaxed);
-                }
+            let mut state = lock(&self.state);
+            if !state.is_open {
+                // Only just: it is due again.
+                self.news.insert(*whose);
+            } else if self.client.try_publish(topic, QoS::AtMostOnce, true, payload).is_ok() {
+                state.published += 1;
+                state.under_way += 1;
+            } else {
+                state.undelivered += 1;
             }
         }
         Ok(())
+    }
+}
+
+impl Broker {
+    /// Whether topics can be made of it.
+    ///
+    /// # Errors
+    /// What they cannot be made of.
+    pub fn check(&self) -> Result<()> {
+        for part in [&self.prefix, &self.gateway] {
+            ensure!(!part.is_empty() && !part.contains(['#', '+', '\0']), "{part:?} cannot be part of a topic");
+        }
+        Ok(())
+    }
+}
+
+impl std::fmt::Display for Broker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // An address of six has colons of its own.
+        let Self { host, port, .. } = self;
+        if host.contains(':') { write!(f, "broker [{host}]:{port}") } else { write!(f, "broker {host}:{port}") }
+    }
+}
+
+fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Waits until it is so, for a while.
+fn wait(is_so: impl Fn() -> bool) {
+    let until = Instant::now() + GOODBYE;
+    while !is_so() && Instant::now() < until {
+        sleep(Duration::from_millis(10));
     }
 }
 
@@ -253,7 +330,8 @@ impl Sink for Mqtt {
     }
 
     fn tick(&mut self) -> Result<()> {
-        if !self.is_open.load(Ordering::Relaxed) {
+        if !self.is_open() {
+            self.wait();
             return Ok(());
         }
         self.release()?;
@@ -264,40 +342,66 @@ impl Sink for Mqtt {
         self.publish()
     }
 
+    fn end(&mut self) -> Result<()> {
+        let Some(line) = self.line.take() else { return Ok(()) };
+        // A replay that is over at once is still published, if there is a broker.
+        wait(|| self.is_open());
+        lock(&self.state).is_over = true;
+        let is_there = self.is_open();
+        if is_there {
+            // What is held back is said by another meanwhile, or by us.
+            self.publish()?;
+            let until = Instant::now() + GOODBYE;
+            while !self.held.is_empty() && Instant::now() < until {
+                sleep(Duration::from_millis(10));
+                self.release()?;
+            }
+            wait(|| lock(&self.state).under_way == 0);
+            let _ = self.client.try_publish(gateway_topic(&self.broker), QoS::AtLeastOnce, true, "offline");
+            let _ = self.client.try_disconnect();
+        }
+        wait(|| line.is_finished());
+        self.news.append(&mut self.overdue);
+        self.news.extend(std::mem::take(&mut self.held).into_keys());
+        let mut state = lock(&self.state);
+        state.give_up();
+        state.undelivered += std::mem::take(&mut self.news).len() as u64;
+        let State { was_open, undelivered, cause, .. } = &*state;
+        let cause = cause.as_deref().unwrap_or("no answer");
+        ensure!(*was_open, "{} was never reached: {cause}; nothing was published", self.broker);
+        ensure!(is_there, "{} went away and did not come back: {cause}; {undelivered} not delivered", self.broker);
+        Ok(())
+    }
+
+    fn alarm(&mut self) -> Option<String> {
+        let alarms = std::mem::take(&mut lock(&self.state).alarms);
+        (!alarms.is_empty()).then(|| alarms.join("\n"))
+    }
+
     fn note(&self) -> Option<String> {
-        let Broker { host, port, .. } = &self.broker;
-        let state = if self.is_open.load(Ordering::Relaxed) { "" } else { ": not there" };
-        let dropped = self.dropped.load(Ordering::Relaxed);
-        let (published, left) = (self.published, self.left_to_others);
-        Some(format!("broker {host}:{port}{state}, {published} published, {left} left to others, {dropped} dropped"))
+        let State { is_open, was_open, is_over, cause, losses, published, undelivered, .. } = &*lock(&self.state);
+        let how = match cause {
+            _ if *is_open || *was_open && *is_over && self.line.is_none() => String::new(),
+            Some(cause) if *was_open => format!(", lost: {cause}"),
+            Some(cause) => format!(", not reached: {cause}"),
+            None => ", not reached yet".to_owned(),
+        };
+        let losses = match losses {
+            0 => String::new(),
+            1 => ", lost once".to_owned(),
+            losses => format!(", lost {losses} times"),
+        };
+        let (broker, left) = (&self.broker, self.left_to_others);
+        Some(format!(
+            "{broker}{how}: {published} published, {left} left to others, {undelivered} not delivered{losses}"
+        ))
     }
 }
 
 impl Drop for Mqtt {
     fn drop(&mut self) {
-        // A replay that is over at once is still published, if there is a broker.
-        let until = Instant::now() + GOODBYE;
-        while !self.is_open.load(Ordering::Relaxed) && Instant::now() < until {
-            sleep(Duration::from_millis(10));
-        }
-        self.over.store(true, Ordering::Relaxed);
-        if self.is_open.load(Ordering::Relaxed) {
-            let until = Instant::now() + GOODBYE;
-            // What is held back is said by another meanwhile, or by us.
-            let _ = self.publish();
-            while self.release().is_ok() && !self.held.is_empty() && Instant::now() < until {
-                sleep(Duration::from_millis(10));
-            }
-            let _ = self.client.try_publish(gateway_topic(&self.broker), QoS::AtLeastOnce, true, "offline");
-            let _ = self.client.try_disconnect();
-        }
-        let until = Instant::now() + GOODBYE;
-        while let Some(line) = &self.line
-            && !line.is_finished()
-            && Instant::now() < until
-        {
-            sleep(Duration::from_millis(10));
-        }
+        // Whoever waits for an error has called `end`.
+        let _ = self.end();
     }
 }
 
@@ -305,20 +409,15 @@ impl Drop for Mqtt {
 struct Line {
     broker: Broker,
     client: Client,
-    is_open: Arc<AtomicBool>,
-    over: Arc<AtomicBool>,
+    state: Arc<Mutex<State>>,
     speakers: Speakers,
 }
 
 impl Line {
     fn run(self, mut connection: Connection) {
-        for said in connection.iter() {
+        while let Ok(said) = connection.recv() {
             match said {
-                Ok(Wire::Incoming(Packet::ConnAck(_))) => {
-                    let _ = self.client.try_publish(gateway_topic(&self.broker), QoS::AtLeastOnce, true, "online");
-                    let _ = self.client.try_subscribe(format!("{}/+/+", self.broker.prefix), QoS::AtMostOnce);
-                    self.is_open.store(true, Ordering::Relaxed);
-                }
+                Ok(Wire::Incoming(Packet::ConnAck(_))) => self.opened(),
                 Ok(Wire::Incoming(Packet::Publish(message))) => {
                     // What was there before says nothing of now.
                     if !message.retain
@@ -328,15 +427,60 @@ impl Line {
                     }
                 }
                 Ok(_) => {}
-                Err(_) => {
-                    self.is_open.store(false, Ordering::Relaxed);
-                    if self.over.load(Ordering::Relaxed) {
+                Err(error) => {
+                    let mut state = lock(&self.state);
+                    if state.is_over {
+                        if !std::mem::take(&mut state.is_open) {
+                            state.cause = Some(cause(&error));
+                        }
                         return;
                     }
-                    sleep(Duration::from_secs(1));
+                    self.closed(&mut state, &error);
+                    // Of what waits in the queue only the newest counts, and that comes again.
+                    connection.eventloop.clean();
+                    drop(state);
+                    sleep(AGAIN);
                 }
             }
         }
+    }
+
+    fn opened(&self) {
+        let _ = self.client.try_publish(gateway_topic(&self.broker), QoS::AtLeastOnce, true, "online");
+        let _ = self.client.try_subscribe(format!("{}/+/+", self.broker.prefix), QoS::AtMostOnce);
+        let mut state = lock(&self.state);
+        (state.is_open, state.was_open) = (true, true);
+        if state.cause.take().is_some() {
+            state.alarms.push(format!("{}: is there", self.broker));
+        }
+    }
+
+    fn closed(&self, state: &mut State, error: &ConnectionError) {
+        let cause = cause(error);
+        let what = if state.is_open { "lost" } else { "cannot be reached" };
+        if state.cause.is_none() {
+            state.alarms.push(format!(
+                "{}: {what}: {cause}; it is tried again every {} s, and all else goes on",
+                self.broker,
+                AGAIN.as_secs()
+            ));
+        }
+        state.losses += u64::from(state.is_open);
+        state.give_up();
+        state.is_open = false;
+        state.cause = Some(cause);
+    }
+}
+
+/// Why there is no broker, without the words of the crate around it.
+fn cause(error: &ConnectionError) -> String {
+    match error {
+        ConnectionError::Io(error) => error.to_string(),
+        ConnectionError::MqttState(rumqttc::StateError::Io(error)) => error.to_string(),
+        ConnectionError::MqttState(error) => error.to_string(),
+        ConnectionError::ConnectionRefused(code) => format!("it refuses this client: {code:?}"),
+        ConnectionError::NetworkTimeout | ConnectionError::FlushTimeout => "no answer".to_owned(),
+        other => other.to_string(),
     }
 }
 
@@ -344,6 +488,10 @@ impl Line {
     /// Takes a message in the broker's order.
     fn heard(&self, topic: String, Said { gateway, sequence }: Said) {
         let gateway = (gateway != self.broker.gateway).then_some(gateway);
+        if gateway.is_none() {
+            let mut state = lock(&self.state);
+            state.under_way = state.under_way.saturating_sub(1);
+        }
         let mut speakers = self.speakers.lock().unwrap_or_else(PoisonError::into_inner);
         match speakers.get(&topic) {
             Some(speaker) if speaker.gateway != gateway && speaker.has_said(sequence) => return,

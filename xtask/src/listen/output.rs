@@ -2,17 +2,18 @@
 //!
 //! Rows and lines are written whole: a program that is killed leaves a file that reads.
 //!
-//! What can go wrong: a full disk or a reader that has gone. The first is an error that names the file; the second ends
-//! the listening, as whoever types `| head` means it.
+//! What can go wrong: a full disk or a reader that has gone. The first is an error that names the file, which ends with what
+//! was whole; the second ends the listening, as whoever types `| head` means it.
 
 use std::fs::{File, OpenOptions};
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use serde::Serialize;
 
 use super::model::{Event, Fix, HealthNews};
+use crate::whole::folder;
 
 /// A way out.
 pub trait Sink {
@@ -44,30 +45,87 @@ pub trait Sink {
         Ok(())
     }
 
+    /// What nobody should miss, once, where [`Sink::note`] is not before everybody's eyes.
+    fn alarm(&mut self) -> Option<String> {
+        None
+    }
+
     /// One line about it, where there is something to say.
     fn note(&self) -> Option<String> {
         None
     }
 }
 
-/// Makes a file that is not there yet.
+/// A new file that grows by whole pieces.
+#[derive(Debug)]
+pub struct Growing {
+    name: String,
+    file: File,
+    length: u64,
+}
+
+impl Growing {
+    /// Makes it.
+    ///
+    /// # Errors
+    /// It is there, or cannot be made.
+    pub fn create(path: &Path) -> Result<Self> {
+        vacant(path)?;
+        let name = path.display().to_string();
+        let file = OpenOptions::new().write(true).create_new(true).open(path);
+        Ok(Self { file: file.with_context(|| format!("{name}: cannot be made"))?, name, length: 0 })
+    }
+
+    /// Puts a piece behind the others: all of it, or none.
+    ///
+    /// # Errors
+    /// The disk is full.
+    pub fn append(&mut self, piece: &[u8]) -> Result<()> {
+        if let Err(error) = self.file.write_all(piece) {
+            // As far as it came it is no piece.
+            let _ = self.file.set_len(self.length).and_then(|()| self.file.seek(SeekFrom::Start(self.length)));
+            return Err(error).with_context(|| self.unwritten());
+        }
+        self.length += piece.len() as u64;
+        Ok(())
+    }
+
+    /// Waits until all of it is on the disk.
+    ///
+    /// # Errors
+    /// The disk does not take it.
+    pub fn sync(&self) -> Result<()> {
+        self.file.sync_data().with_context(|| self.unwritten())
+    }
+
+    /// Bytes so far.
+    #[must_use]
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
+    fn unwritten(&self) -> String {
+        format!("{}: cannot be written", self.name)
+    }
+}
+
+/// Whether a new file may be made there.
 ///
 /// # Errors
-/// It is there, or cannot be made.
-pub fn create(path: &Path) -> Result<File> {
+/// There is one, or no folder for it.
+pub fn vacant(path: &Path) -> Result<()> {
     let name = path.display();
-    let made = OpenOptions::new().write(true).create_new(true).open(path);
-    made.map_err(|error| match error.kind() {
-        ErrorKind::AlreadyExists => anyhow::anyhow!("{name}: is there already and is not overwritten"),
-        _ => anyhow::Error::new(error).context(format!("{name}: cannot be made")),
-    })
+    ensure!(path.symlink_metadata().is_err(), "{name}: is there already and is not overwritten");
+    let folder = folder(path);
+    ensure!(folder.is_dir(), "{name}: there is no folder {}", folder.display());
+    Ok(())
 }
 
 /// Rows of a table, written whole.
 #[derive(Debug)]
 pub struct Table {
     name: String,
-    file: File,
+    file: Growing,
     rows: csv::Writer<Vec<u8>>,
     is_headed: bool,
 }
@@ -78,7 +136,7 @@ impl Table {
     /// # Errors
     /// It is there, or cannot be made.
     pub fn create(path: &Path) -> Result<Self> {
-        let file = create(path)?;
+        let file = Growing::create(path)?;
         Ok(Self { name: path.display().to_string(), file, rows: rows(true), is_headed: false })
     }
 
@@ -99,7 +157,7 @@ impl Table {
         let empty = rows(!self.is_headed);
         let bytes = std::mem::replace(&mut self.rows, empty).into_inner();
         let bytes = bytes.map_err(|error| error.into_error()).with_context(|| self.name.clone())?;
-        self.file.write_all(&bytes).with_context(|| format!("{}: cannot be written", self.name))
+        self.file.append(&bytes)
     }
 
     /// Waits until what was written is on the disk.
@@ -107,7 +165,7 @@ impl Table {
     /// # Errors
     /// The disk does not take it.
     pub fn sync(&self) -> Result<()> {
-        self.file.sync_data().with_context(|| format!("{}: cannot be written", self.name))
+        self.file.sync()
     }
 }
 
@@ -247,6 +305,11 @@ impl Sink for Table {
     fn tick(&mut self) -> Result<()> {
         self.write()
     }
+
+    fn end(&mut self) -> Result<()> {
+        self.write()?;
+        self.sync()
+    }
 }
 
 /// Every event as a line of JSON.
@@ -275,6 +338,17 @@ impl std::fmt::Display for ReaderGone {
 
 impl std::error::Error for ReaderGone {}
 
+/// Says something on the standard output.
+///
+/// # Errors
+/// [`ReaderGone`], or it cannot be written.
+pub fn say(to: &mut impl Write, text: &[u8]) -> Result<()> {
+    match to.write_all(text).and_then(|()| to.flush()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => bail!(ReaderGone),
+        other => other.context("the standard output cannot be written"),
+    }
+}
+
 impl<W: Write> Sink for JsonLines<W> {
     fn event(&mut self, event: &Event) -> Result<()> {
         serde_json::to_writer(&mut self.lines, event).context("an event that is no JSON")?;
@@ -283,10 +357,10 @@ impl<W: Write> Sink for JsonLines<W> {
     }
 
     fn tick(&mut self) -> Result<()> {
-        let lines = std::mem::take(&mut self.lines);
-        match self.to.write_all(&lines).and_then(|()| self.to.flush()) {
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => bail!(ReaderGone),
-            other => other.context("the standard output cannot be written"),
-        }
+        say(&mut self.to, &std::mem::take(&mut self.lines))
+    }
+
+    fn end(&mut self) -> Result<()> {
+        self.tick()
     }
 }

@@ -5,25 +5,26 @@
 //! at least every `PENDING` bytes, so that a program that is killed loses a quarter of a second, and every
 //! `SYNC` it is made sure that the disk has it, so that a computer that loses its power loses no more than that.
 //!
-//! What can go wrong: a folder that holds something already. It is not touched.
+//! What can go wrong: a folder that holds something already; it is not touched. A disk that is full: an error that names the
+//! file, and each file ends with its last whole block or row.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{BufReader, Write};
+use std::io::{BufReader, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use air::capture;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, ensure};
 use pcap_file::DataLink;
 use pcap_file::pcapng::PcapNgWriter;
 use pcap_file::pcapng::blocks::enhanced_packet::EnhancedPacketBlock;
 use pcap_file::pcapng::blocks::interface_description::{InterfaceDescriptionBlock, InterfaceDescriptionOption};
 
 use super::model::{self, Cause, Event, Shared, SourceId, SourceState};
-use super::output::{FixRow, HealthRow, Sink, Table, create};
+use super::output::{FixRow, Growing, HealthRow, Sink, Table};
 use super::source::{Desk, Heard, as_heard};
 use crate::trust;
 
@@ -46,14 +47,13 @@ pub struct Recorder {
     dir: PathBuf,
     shared: Shared,
     started: Duration,
-    file: File,
+    file: Growing,
     air: PcapNgWriter<Vec<u8>>,
     interfaces: BTreeMap<SourceId, u32>,
     fixes: Table,
     health: Table,
     written: Instant,
     synced: Instant,
-    bytes: u64,
 }
 
 impl Recorder {
@@ -62,17 +62,15 @@ impl Recorder {
     /// # Errors
     /// The folder holds something, or nothing can be made there.
     pub fn create(dir: &Path, room: Option<&Path>, shared: Shared) -> Result<Self> {
+        vacant(dir)?;
         let name = dir.display();
-        if fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some()) {
-            bail!("{name}: holds something already and is not overwritten; name a new folder");
-        }
         fs::create_dir_all(dir).with_context(|| format!("{name}: cannot be made"))?;
         if let Some(room) = room {
             let text = fs::read_to_string(room).with_context(|| room.display().to_string())?;
             let text = trust::with_key_in_place(room, &text);
-            create(&dir.join(ROOM))?.write_all(text.as_bytes()).with_context(|| format!("{name}/{ROOM}"))?;
+            Growing::create(&dir.join(ROOM))?.append(text.as_bytes())?;
         }
-        let file = create(&dir.join(AIR))?;
+        let file = Growing::create(&dir.join(AIR))?;
         let now = Instant::now();
         let mut recorder = Self {
             dir: dir.to_owned(),
@@ -85,7 +83,6 @@ impl Recorder {
             health: Table::create(&dir.join("health.csv"))?,
             written: now,
             synced: now,
-            bytes: 0,
         };
         recorder.write()?;
         Ok(recorder)
@@ -109,8 +106,7 @@ impl Recorder {
 
     fn write(&mut self) -> Result<()> {
         let bytes = std::mem::take(self.air.get_mut());
-        self.file.write_all(&bytes).with_context(|| format!("{}/{AIR}: cannot be written", self.dir.display()))?;
-        self.bytes += bytes.len() as u64;
+        self.file.append(&bytes)?;
         self.fixes.write()?;
         self.health.write()?;
         self.written = Instant::now();
@@ -118,7 +114,7 @@ impl Recorder {
     }
 
     fn sync(&mut self) -> Result<()> {
-        self.file.sync_data().with_context(|| format!("{}/{AIR}: cannot be written", self.dir.display()))?;
+        self.file.sync()?;
         self.fixes.sync()?;
         self.health.sync()?;
         self.synced = Instant::now();
@@ -162,16 +158,40 @@ impl Sink for Recorder {
         Ok(())
     }
 
+    fn end(&mut self) -> Result<()> {
+        self.write()?;
+        self.sync()
+    }
+
     fn note(&self) -> Option<String> {
-        Some(format!("recording to {} ({:.1} MB)", self.dir.display(), self.bytes as f64 / 1e6))
+        Some(format!("recording to {} ({:.1} MB)", self.dir.display(), self.file.length() as f64 / 1e6))
     }
 }
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        // Whoever waits for an error has called `tick`.
-        let _ = self.write().and_then(|()| self.sync());
+        // Whoever waits for an error has called `end`.
+        let _ = self.end();
     }
+}
+
+/// Whether a recording may be made there.
+///
+/// # Errors
+/// It holds something, or is a file.
+pub fn vacant(dir: &Path) -> Result<()> {
+    let name = dir.display();
+    match fs::read_dir(dir) {
+        Ok(mut entries) => {
+            ensure!(
+                entries.next().is_none(),
+                "{name}: holds something already and is not overwritten; name a new folder"
+            );
+        }
+        Err(error) if error.kind() == ErrorKind::NotFound => {}
+        Err(error) => return Err(error).with_context(|| format!("{name}: cannot be a recording's folder")),
+    }
+    Ok(())
 }
 
 /// The room of a recording, if it has one.
@@ -180,50 +200,65 @@ pub fn room(dir: &Path) -> Option<PathBuf> {
     Some(dir.join(ROOM)).filter(|room| room.is_file())
 }
 
-/// Says all that a recording holds, so many times as fast as it happened; 0 as fast as possible.
-///
-/// # Errors
-/// There is no recording.
-pub fn replay(desk: Desk, dir: &Path, speed: f64) -> Result<()> {
-    let path = dir.join(AIR);
-    let name = path.display().to_string();
-    let file =
-        File::open(&path).with_context(|| format!("{name}: cannot be read; is that the folder of a recording?"))?;
-    spawn(move || {
-        let mut sources = BTreeMap::new();
-        let mut first = None;
-        let ended = capture::records(&name, BufReader::new(file), |record| {
-            let (id, called) = record.interface;
-            let source = *sources.entry(id).or_insert_with(|| {
-                let source = desk.add(called.unwrap_or("unnamed"), "replay");
-                desk.state(source, SourceState::Open, "");
-                source
-            });
-            let at = record.at.unwrap_or_default();
-            let at_s = at.as_secs_f64() - first.get_or_insert(at).as_secs_f64();
-            if speed > 0.0 {
-                let due_s = at_s / speed;
-                while desk.now_s() < due_s && !desk.is_over() {
-                    sleep(Duration::try_from_secs_f64((due_s - desk.now_s()).clamp(0.0, 0.1)).unwrap_or_default());
-                }
-            }
-            desk.say(as_heard(source, at_s, record))
+/// A recording to show again.
+pub struct Recording {
+    name: String,
+    file: File,
+}
+
+impl Recording {
+    /// Opens one.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn open(dir: &Path) -> Result<Self> {
+        let path = dir.join(AIR);
+        let name = path.display().to_string();
+        let file = File::open(&path);
+        let file = file.with_context(|| format!("{name}: cannot be read; is that the folder of a recording?"))?;
+        Ok(Self { name, file })
+    }
+
+    /// Says all that it holds, so many times as fast as it happened; 0 as fast as possible.
+    pub fn replay(self, desk: Desk, speed: f64) {
+        let Self { name, file } = self;
+        spawn(move || replay(&desk, &name, file, speed));
+    }
+}
+
+fn replay(desk: &Desk, name: &str, file: File, speed: f64) {
+    let mut sources = BTreeMap::new();
+    let mut first = None;
+    let ended = capture::records(name, BufReader::new(file), |record| {
+        let (id, called) = record.interface;
+        let source = *sources.entry(id).or_insert_with(|| {
+            let source = desk.add(called.unwrap_or("unnamed"), "replay");
+            desk.state(source, SourceState::Open, "");
+            source
         });
-        let note = match ended {
-            Ok(()) => String::new(),
-            // What a program that was killed leaves.
-            Err(error) => format!("breaks off: {error:#}"),
-        };
-        if sources.is_empty() || !note.is_empty() {
-            let source = sources.values().next().copied().unwrap_or_else(|| desk.add(&name, "replay"));
-            sources.insert(u32::MAX, source);
-            if !note.is_empty() {
-                desk.say(Heard::Bad(source, 0.0, Cause::Capture, Vec::new()));
+        let at = record.at.unwrap_or_default();
+        let at_s = at.as_secs_f64() - first.get_or_insert(at).as_secs_f64();
+        if speed > 0.0 {
+            let due_s = at_s / speed;
+            while desk.now_s() < due_s && !desk.is_over() {
+                sleep(Duration::try_from_secs_f64((due_s - desk.now_s()).clamp(0.0, 0.1)).unwrap_or_default());
             }
         }
-        for source in sources.values() {
-            desk.state(*source, SourceState::Ended, note.clone());
-        }
+        desk.say(as_heard(source, at_s, record))
     });
-    Ok(())
+    let note = match ended {
+        Ok(()) => String::new(),
+        // What a program that was killed leaves.
+        Err(error) => format!("breaks off: {error:#}"),
+    };
+    if sources.is_empty() || !note.is_empty() {
+        let source = sources.values().next().copied().unwrap_or_else(|| desk.add(name, "replay"));
+        sources.insert(u32::MAX, source);
+        if !note.is_empty() {
+            desk.say(Heard::Bad(source, 0.0, Cause::Capture, Vec::new()));
+        }
+    }
+    for source in sources.values() {
+        desk.state(*source, SourceState::Ended, note.clone());
+    }
 }

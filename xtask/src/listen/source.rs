@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{Read, Seek};
+use std::io::{ErrorKind, Read, Seek};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -186,30 +186,44 @@ pub fn listen_to_all(desk: Desk, channel: u8) {
     });
 }
 
-/// Reads a capture, `-` for the standard input, as fast as it comes; its times are the capture's own.
-///
-/// # Errors
-/// It cannot be opened, or is a file that is no capture.
-pub fn read(desk: Desk, path: &Path) -> Result<()> {
-    let name = path.display().to_string();
-    let from: Box<dyn Read + Send> = if name == "-" {
-        Box::new(std::io::stdin())
-    } else {
-        let mut file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
-        // A pipe is not looked into before its time.
-        if file.metadata().is_ok_and(|about| about.is_file()) {
-            let mut magic = [0; 4];
-            let is_capture = file.read_exact(&mut magic).is_ok() && MAGIC.contains(&u32::from_le_bytes(magic));
-            ensure!(is_capture, "{name}: is neither pcap nor pcapng");
-            file.rewind().with_context(|| format!("{name}: cannot be read"))?;
-        }
-        Box::new(file)
-    };
-    read_from(desk, name, from);
-    Ok(())
+/// A capture that can be read.
+pub struct Capture {
+    name: String,
+    from: Box<dyn Read + Send>,
 }
 
-/// The same from anything.
+impl Capture {
+    /// Opens one; `-` is the standard input.
+    ///
+    /// # Errors
+    /// It cannot be opened, or is a file that is no capture.
+    pub fn open(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        if name == "-" {
+            return Ok(Self { name, from: Box::new(std::io::stdin()) });
+        }
+        let mut file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
+        // A pipe is not looked into before its time.
+        if file.metadata().is_ok_and(|about| !about.is_file() && !about.is_dir()) {
+            return Ok(Self { name, from: Box::new(file) });
+        }
+        let mut magic = [0; 4];
+        let is_long = match file.read_exact(&mut magic) {
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof => false,
+            read => read.map(|()| true).with_context(|| format!("{name}: cannot be read"))?,
+        };
+        ensure!(is_long && MAGIC.contains(&u32::from_le_bytes(magic)), "{name}: is neither pcap nor pcapng");
+        file.rewind().with_context(|| format!("{name}: cannot be read"))?;
+        Ok(Self { name, from: Box::new(file) })
+    }
+
+    /// Reads it, as fast as it comes; its times are the capture's own.
+    pub fn read(self, desk: Desk) {
+        read_from(desk, self.name, self.from);
+    }
+}
+
+/// Reads a capture from anything.
 pub fn read_from(desk: Desk, name: String, from: impl Read + Send + 'static) {
     let source = desk.add(&name, "capture");
     spawn(move || {

@@ -162,7 +162,15 @@ impl Web {
 
 impl Drop for Web {
     fn drop(&mut self) {
-        self.house.over.store(true, Ordering::Relaxed);
+        self.close();
+    }
+}
+
+impl Web {
+    fn close(&mut self) {
+        if self.house.over.swap(true, Ordering::Relaxed) {
+            return;
+        }
         self.house.publish();
         // The door sees it at its next visitor.
         let here = if self.at.ip().is_unspecified() { USUAL.ip() } else { self.at.ip() };
@@ -184,7 +192,15 @@ impl Sink for Web {
         Ok(())
     }
 
+    fn end(&mut self) -> Result<()> {
+        self.close();
+        Ok(())
+    }
+
     fn note(&self) -> Option<String> {
+        if self.house.is_over() {
+            return None;
+        }
         let slow = match self.let_go() {
             0 => String::new(),
             count => format!(", {count} too slow"),

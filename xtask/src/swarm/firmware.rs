@@ -14,6 +14,7 @@ use sim::mote::Mote;
 use sim::world::{Scene, World};
 
 use super::air::{Nanos, Sent, Wish, air_time, unheard};
+use super::sending::HALF_TURN;
 use crate::flash::identity::{self, Change};
 use crate::trust::Guard;
 
@@ -36,25 +37,38 @@ pub struct Heard {
     pub others: usize,
     /// Frames that overlapped another mote's.
     pub lost: usize,
+    /// Times that a report came more than a half turn late, and the next so much sooner.
+    pub late: usize,
 }
 
-/// Lets `motes` motes run `elf` for `seconds` after all of them have seen a station's frame begin. Where there is a `key`,
-/// every frame must be under it.
+/// Lets `motes` motes run `elf`, which reports every `every` half turns, for `seconds` after all of them have seen a station's
+/// frame begin. Where there is a `key`, every frame must be under it.
 ///
 /// # Errors
 /// A mote that stops, has no identity to change, or sends what is no frame.
-pub fn run(elf: &[u8], key: Option<[u8; 16]>, motes: u16, seconds: f64, mut done: impl FnMut(u16)) -> Result<Heard> {
+pub fn run(
+    elf: &[u8],
+    key: Option<[u8; 16]>,
+    motes: u16,
+    every: u16,
+    seconds: f64,
+    mut done: impl FnMut(u16),
+) -> Result<Heard> {
     let known_s = f64::from(motes) * LATER_S + 2.0 + FRAMES * FRAME_S;
-    let mut wishes = Vec::new();
+    let (mut wishes, mut late) = (Vec::new(), 0);
     for id in 0..motes {
         let sent = one(elf, key, id, motes, (known_s, known_s + seconds));
-        wishes.extend(sent.with_context(|| format!("virtual mote {id}"))?);
+        let sent = sent.with_context(|| format!("virtual mote {id}"))?;
+        let fixes: Vec<f64> = sent.iter().filter(|wish| wish.fix.is_some()).map(|wish| wish.at as f64).collect();
+        let apart: Vec<f64> = fixes.windows(2).map(|two| (two[1] - two[0]) / HALF_TURN - f64::from(every)).collect();
+        late += apart.windows(2).filter(|two| two[0] > 1.0 && two[1] < -1.0).count();
+        wishes.extend(sent);
         done(id);
     }
     let sent = unheard(wishes);
     let fixes = sent.iter().filter(|sent| sent.wish.fix.is_some()).count();
     let is_lost = |sent: &&Sent| !sent.received;
-    Ok(Heard { fixes, others: sent.len() - fixes, lost: sent.iter().filter(is_lost).count() })
+    Ok(Heard { fixes, others: sent.len() - fixes, lost: sent.iter().filter(is_lost).count(), late })
 }
 
 /// The frames of one mote between `from_s` and `to_s` of the room's time.

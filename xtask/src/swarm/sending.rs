@@ -22,6 +22,11 @@ const VIEW: f64 = 0.25;
 /// From the laser to the first bit of the frame: at the least and at the most. The bench measures 1.4 ms at the most on
 /// the slower multiplier; supplies alone take 0.1 ms.
 const SOLVED: (f64, f64) = (0.9e6, 1.4e6);
+/// How long a SCuM-3C counts its oscillators behind a health frame: six half turns, and the supplies for what waited
+/// (`COUNTED` of `src/bin/scum3c/tuning.rs`, `SETTLE` of its `radio.rs`).
+const COUNTING: f64 = 6.0 * HALF_TURN + 0.1e6;
+/// Behind every how many health frames: `REST` of the same, and that one.
+pub const COUNTED_EVERY: u64 = 61;
 /// A packet of the 2020 paper's firmware: station and rotor, flash and laser as 32 bits each, check sequence; no header
 /// and nobody's name.
 pub const RAW_LEN: usize = 11;
@@ -59,6 +64,8 @@ pub struct Swarm {
     pub seed: u64,
     /// Frames are under a key, and longer. What is slotted was sealed by the time of its slot.
     pub is_sealed: bool,
+    /// Each mote counts its oscillators once a minute, as a SCuM-3C does, and sends nothing meanwhile.
+    pub counts: bool,
 }
 
 /// A mote that stands somewhere.
@@ -94,6 +101,11 @@ impl Swarm {
         let every = u64::from(self.every);
         let mut due = mote.phase;
         let mut told = mote.health;
+        // Dice of its own: all else is the same without.
+        let seed = self.seed << 16 ^ u64::from(id) ^ u64::from(self.every) << 48;
+        let mut uncounted = fastrand::Rng::with_seed(seed).u64(..COUNTED_EVERY);
+        // When the radio is done with what it has; when it has counted.
+        let (mut free, mut counted) = (0, 0);
         for half_turn in 0..half_turns {
             let is_due = match self.policy {
                 Policy::Slotted => is_own((half_turn % u64::from(FRAME_BITS)) as u16, id as u16, self.every),
@@ -110,7 +122,9 @@ impl Swarm {
                 let pass = half_turn as f64 * HALF_TURN + mote.passes[half_turn as usize % 4];
                 let solved = SOLVED.0 + (SOLVED.1 - SOLVED.0) * dice.f64();
                 let lasts = air_time(if self.is_sealed { len + OVERHEAD } else { len });
-                wishes.push(Wish { at: (pass + solved) as Nanos, mote: id, lasts, fix });
+                let at = ((pass + solved) as Nanos).max(counted);
+                free = at.max(free) + lasts;
+                wishes.push(Wish { at, mote: id, lasts, fix });
             };
             if self.policy == Policy::Raw {
                 (half_turn..half_turn + 4).for_each(|half_turn| wish(half_turn, RAW_LEN, Some(*fixes)));
@@ -120,6 +134,10 @@ impl Swarm {
                 if half_turn >= told {
                     wish(half_turn, HEALTH_LEN, None);
                     told += PER_SECOND;
+                    if self.counts && uncounted == 0 {
+                        (counted, uncounted) = (free + COUNTING as Nanos, COUNTED_EVERY);
+                    }
+                    uncounted = uncounted.saturating_sub(1);
                 }
             }
             *fixes += 1;

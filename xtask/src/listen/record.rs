@@ -24,7 +24,7 @@ use pcap_file::pcapng::blocks::interface_description::{InterfaceDescriptionBlock
 
 use super::model::{self, Cause, Event, Shared, SourceId, SourceState};
 use super::output::{FixRow, HealthRow, Sink, Table, create};
-use super::source::{Desk, Heard, as_heard};
+use super::source::{Desk, Heard, as_heard, seconds};
 use crate::trust;
 
 /// Bytes that may wait for the next writing.
@@ -200,7 +200,7 @@ pub fn replay(desk: Desk, dir: &Path, speed: f64) -> Result<()> {
                 source
             });
             let at = record.at.unwrap_or_default();
-            let at_s = at.as_secs_f64() - first.get_or_insert(at).as_secs_f64();
+            let at_s = seconds(*first.get_or_insert(at), at);
             if speed > 0.0 {
                 let due_s = at_s / speed;
                 while desk.now_s() < due_s && !desk.is_over() {

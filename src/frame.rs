@@ -210,6 +210,9 @@ pub fn fcs(bytes: &[u8]) -> u16 {
 macro_rules! code {
     ($name:ident: $($variant:ident),+) => {
         impl $name {
+            /// All of them, in the order of their codes.
+            pub const ALL: &[Self] = &[$(Self::$variant),+];
+
             fn of_code(code: u8) -> Result<Self, Reject> {
                 [$(Self::$variant),+].into_iter().find(|known| *known as u8 == code).ok_or(Reject::Code)
             }

@@ -15,7 +15,7 @@ local LOCKS = {
     [0] = "no light", [1] = "searching", [2] = "locked", [3] = "one station, unnamed", [4] = "spacing of the flashes",
     [5] = "widths of the flashes", [6] = "Lighthouse V2",
 }
-local RESETS = { [0] = "power on", [1] = "requested", [2] = "fault", [3] = "panic", [4] = "watchdog" }
+local RESETS = { [0] = "power on", [1] = "requested", [2] = "fault", [3] = "panic", [4] = "watchdog", [5] = "damaged image" }
 local MODES = { [0] = "A", [1] = "B", [2] = "C" }
 local FACTORIES = { [0] = "of the file", [1] = "awaited", [2] = "received" }
 local ROTORS = { [0] = "A azimuth", [1] = "B azimuth", [2] = "A elevation", [3] = "B elevation" }
@@ -61,7 +61,7 @@ field("lost_reports", ProtoField.uint16, "Reports lost")
 field("uptime", ProtoField.uint32, "Uptime (s)")
 field("lock", ProtoField.uint8, "Lock", base.DEC, LOCKS)
 field("reset", ProtoField.uint8, "Last reset", base.DEC, RESETS)
-field("reset_detail", ProtoField.uint32, "Program counter of the crash", base.HEX)
+field("reset_detail", ProtoField.uint32, "Program counter of the fault, line of the panic", base.HEX_DEC)
 field("syncs_a", ProtoField.uint16, "Flashes of A")
 field("syncs_b", ProtoField.uint16, "Flashes of B")
 field("sweeps_a_az", ProtoField.uint16, "Sweeps of A, azimuth")

@@ -43,11 +43,20 @@ static IDENTITY: Block =
 /// A board without registers.
 struct Bench;
 
+/// The room's, where it has one.
+#[cfg(feature = "security")]
+const KEY: [u8; 16] = *b"a room of its ow";
+
 impl Board for Bench {
     type Pulses = Reader<Pulse, 16>;
 
     fn identity() -> Identity {
         IDENTITY.read()
+    }
+
+    #[cfg(feature = "security")]
+    fn key() -> Option<&'static [u8; 16]> {
+        Some(&KEY)
     }
 
     fn edges_lost() -> u16 {
@@ -100,10 +109,9 @@ impl App {
     /// In a room with a key.
     #[cfg(feature = "security")]
     fn sealed(config: Config) -> Self {
-        const KEY: [u8; 16] = *b"a room of its ow";
         static FIRST: identity::FirstCounter = identity::FirstCounter::new();
         let mut app = Self::new(config, (Reset::PowerOn, 0));
-        app.solve = app.solve.under(Some(Seal::new(&KEY, &FIRST, Box::leak(Box::new(Kept::new())))));
+        app.solve = app.solve.under(Some(Seal::new(&FIRST, Box::leak(Box::new(Kept::new())))));
         app.key = Some((Key::new(&KEY), Vec::new()));
         app
     }

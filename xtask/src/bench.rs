@@ -69,7 +69,7 @@ struct Budget {
 }
 
 /// The budgets; a stage's is less the empty call around it. Loads are thousandths of a percent, times microseconds.
-const BUDGETS: [Budget; 11] = [
+const BUDGETS: [Budget; 14] = [
     Budget { figure: "fix.instructions.most_less_empty", most: 300, until_met: None, what: "instructions of a fix" },
     Budget {
         figure: "angle.instructions.most_less_empty",

@@ -164,7 +164,7 @@ pub fn flash(arguments: &Arguments, workshop: &Workshop<'_>, input: &mut dyn Buf
             let stdout = &mut std::io::stdout();
             let outcome =
                 tray::walk(ids, input, stdout, |id| program(Some(id))?.put(&target, arguments.wired, &folder))?;
-            outcome.conclude(stdout, &again(arguments))
+            outcome.conclude(stdout, &again(arguments, |name| std::env::var(name).ok()))
         }
         _ => motes.iter().try_for_each(|&mote| program(mote)?.put(&target, arguments.wired, &folder)),
     }
@@ -209,12 +209,21 @@ fn baud(programmer: Programmer) -> u32 {
     }
 }
 
-/// The same call without its ids.
-fn again(arguments: &Arguments) -> String {
-    let mut line = format!("cargo xtask flash {}", arguments.board.name());
+/// What a call takes from its environment, besides the room, which is said anew.
+const ENVIRONMENT: [&str; 3] = ["LIGHTHOUSE_MOTE", "LIGHTHOUSE_KEY", "PROBE_RS_PROBE"];
+
+/// The same call without its ids, for a shell; `environment` is asked for what it was told there.
+fn again(arguments: &Arguments, environment: impl Fn(&str) -> Option<String>) -> String {
+    let mut line = String::new();
+    for name in ENVIRONMENT {
+        if let Some(value) = environment(name).filter(|value| !value.is_empty()) {
+            line.push_str(&format!("{name}={} ", quoted(&value)));
+        }
+    }
+    line.push_str(&format!("cargo xtask flash {}", arguments.board.name()));
     let mut add = |name: &str, value: Option<String>| {
         if let Some(value) = value {
-            line.push_str(&format!(" --{name} {value}"));
+            line.push_str(&format!(" --{name} {}", quoted(&value)));
         }
     };
     add("calib", arguments.calib.as_ref().map(|calib| calib.display().to_string()));
@@ -225,6 +234,12 @@ fn again(arguments: &Arguments) -> String {
         line.push_str(" --wired");
     }
     line
+}
+
+/// As a shell takes it for one word.
+fn quoted(word: &str) -> String {
+    // No argument and no variable can hold a NUL, which is all that cannot be said.
+    shlex::try_quote(word).map_or_else(|_| word.to_owned(), |quoted| quoted.into_owned())
 }
 
 /// What the program takes of the board's memories.
@@ -346,6 +361,58 @@ impl Bar {
     fn end(&self) {
         if self.terminal {
             println!();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rest_of_a_tray_is_asked_for_as_the_tray_was() {
+        let arguments = Arguments {
+            board: Board::Scum3c,
+            calib: Some("my rooms/it's \"lab\" $1.toml".into()),
+            id: None,
+            ids: None,
+            channel: Some(17),
+            port: Some("/dev/tty USB0".into()),
+            programmer: None,
+            wired: true,
+            dry_run: false,
+        };
+        let mote = "pan = 0x4c49\nsend = \"slotted\"";
+        let told = |name: &str| match name {
+            "LIGHTHOUSE_MOTE" => Some(mote.to_owned()),
+            "LIGHTHOUSE_KEY" => Some("keys/lab 1.key".to_owned()),
+            _ => Some(String::new()),
+        };
+        let line = again(&arguments, told);
+        let words = [
+            &format!("LIGHTHOUSE_MOTE={mote}"),
+            "LIGHTHOUSE_KEY=keys/lab 1.key",
+            "cargo",
+            "xtask",
+            "flash",
+            "scum3c",
+            "--calib",
+            "my rooms/it's \"lab\" $1.toml",
+            "--channel",
+            "17",
+            "--port",
+            "/dev/tty USB0",
+            "--wired",
+        ];
+        assert_eq!(shlex::split(&line).unwrap(), words, "{line}");
+        let plain = Arguments { calib: None, port: None, wired: false, ..arguments };
+        assert_eq!(again(&plain, |_| None), "cargo xtask flash scum3c --channel 17");
+        #[cfg(unix)]
+        {
+            // What a shell makes of it.
+            let say = line.replace("cargo xtask flash", "printenv LIGHTHOUSE_MOTE LIGHTHOUSE_KEY #");
+            let said = std::process::Command::new("sh").args(["-c", &say]).output().unwrap();
+            assert_eq!(String::from_utf8(said.stdout).unwrap(), format!("{mote}\nkeys/lab 1.key\n"));
         }
     }
 }

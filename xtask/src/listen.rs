@@ -197,12 +197,14 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
     let scene = motes.map(|_| simulate::scene(&arguments.calib.display().to_string(), &calibration)).transpose()?;
     // Nobody wants to wait for that with a picture in front of them.
     let elf = motes.filter(|motes| *motes <= simulate::VIRTUAL).map(|_| (workshop.build)(&calib)).transpose()?;
-    let views = arguments.views.sinks(&desk.shared)?;
+    // Simulated motes alone have no counters to keep.
+    let hears_air = !arguments.port.is_empty() || !arguments.capture.is_empty() || arguments.simulate.is_none();
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
-    if key.is_some() {
+    if key.is_some() && hears_air {
         let path = arguments.counters.clone().unwrap_or_else(|| calib.with_extension("counters"));
         sinks.push(Box::new(Counters::open(path, desk.shared.clone())?));
     }
+    let views = arguments.views.sinks(&desk.shared)?;
     if let Some(dir) = &arguments.record {
         sinks.push(Box::new(Recorder::create(dir, Some(&calib), desk.shared.clone())?));
     }
@@ -213,7 +215,7 @@ pub fn listen(arguments: &Arguments, workshop: &Workshop<'_>) -> Result<()> {
             Some(elf) => simulate::virtual_motes(desk.clone(), elf, scene, motes)?,
             None => {
                 let swarm = simulate::Swarm::new(scene, calibration.mote.pan, motes, arguments.rate);
-                simulate::swarm(desk.clone(), swarm);
+                simulate::swarm(desk.clone(), swarm.under(key));
             }
         }
     }
@@ -537,12 +539,19 @@ pub fn lines(all: &Snapshot) -> String {
         };
         let level = mote.fix.as_ref().map_or("-", |fix| fix.level);
         let lock = mote.condition.as_ref().map_or("-", |condition| condition.lock_reason.unwrap_or("locked"));
-        let conflict = if mote.is_conflict { "  TWO MOTES WITH THIS ID" } else { "" };
+        let conflict = match (mote.is_conflict, mote.has_refused_twin) {
+            (true, _) => "  TWO MOTES WITH THIS ID",
+            (false, true) => "  ANOTHER WITH THIS ID IS REFUSED",
+            (false, false) => "",
+        };
         let rate = mote.fixes_per_s;
         text += &format!("  {:10} {level:7} {place}  {rate:5.1}/s  {} lost  {lock}{conflict}\n", mote.key, mote.lost);
     }
     if all.motes.len() > LINE_MOTES {
         text += &format!("  and {} more\n", all.motes.len() - LINE_MOTES);
+    }
+    if let Some(refusals) = all.refusals() {
+        text += &format!("  {refusals}\n");
     }
     text
 }
@@ -555,6 +564,9 @@ fn closing(all: &Snapshot) -> String {
     let mut text = format!("{} motes, {lost} frames lost, {}", all.motes.len(), dashboard::rejects(all));
     for (pan, mote) in conflicts.keys() {
         text += &format!("\nmore than one mote says that it is {pan:04x}/{mote}: give one of them another id");
+    }
+    for refused in &all.refused_motes {
+        text += &format!("\n{}", refused.note);
     }
     for source in all.sources.iter().filter(|source| !source.note.is_empty()) {
         text += &format!("\n{} ({}): {}", source.name, source.kind, source.note);

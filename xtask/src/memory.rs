@@ -142,7 +142,7 @@ pub(crate) fn memory(arguments: &Arguments) -> Result<()> {
             Some(Taken::of(&elf, Some(bound.bytes()))?)
         } else {
             if board.has_key {
-                image(board, &calib, &with_key)?;
+                image(board, calib, &with_key)?;
             }
             None
         };

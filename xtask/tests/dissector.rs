@@ -28,6 +28,19 @@ fn is_there() -> bool {
     there
 }
 
+/// tshark with this dissector, nobody's settings and nobody's plugins, about to read `frames`, and their home.
+fn tshark(frames: &[Vec<u8>]) -> (Command, tempfile::TempDir) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("frames.pcap");
+    let frames: Vec<Frame> =
+        frames.iter().enumerate().map(|(n, bytes)| Frame { micros: n as u64, bytes: bytes.clone() }).collect();
+    pcap::write(&frames, &mut std::fs::File::create(&path).unwrap()).unwrap();
+    let mut command = Command::new("tshark");
+    command.env("HOME", dir.path()).env("XDG_CONFIG_HOME", dir.path());
+    command.arg("-X").arg(format!("lua_script:{}", dissector().display())).arg("-r").arg(&path);
+    (command, dir)
+}
+
 /// What tshark says of each frame, asked for `fields` besides those of the MAC layer.
 fn dissect(frames: &[Vec<u8>], fields: &[String]) -> Vec<Value> {
     dissect_with(frames, fields, &[])
@@ -35,15 +48,8 @@ fn dissect(frames: &[Vec<u8>], fields: &[String]) -> Vec<Value> {
 
 /// The same with settings of Wireshark's.
 fn dissect_with(frames: &[Vec<u8>], fields: &[String], settings: &[String]) -> Vec<Value> {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("frames.pcap");
-    let frames: Vec<Frame> =
-        frames.iter().enumerate().map(|(n, bytes)| Frame { micros: n as u64, bytes: bytes.clone() }).collect();
-    pcap::write(&frames, &mut std::fs::File::create(&path).unwrap()).unwrap();
-    let mut command = Command::new("tshark");
-    // A home of its own: nobody's settings, nobody's plugins.
-    command.env("HOME", dir.path()).env("XDG_CONFIG_HOME", dir.path());
-    command.arg("-X").arg(format!("lua_script:{}", dissector().display())).arg("-r").arg(&path).args(["-T", "json"]);
+    let (mut command, _home) = tshark(frames);
+    command.args(["-T", "json"]);
     settings.iter().for_each(|setting| {
         command.args(["-o", setting]);
     });
@@ -186,18 +192,16 @@ fn health(dice: &mut fastrand::Rng) -> Health {
         mode: dice.u8(..),
         faults: dice.u8(..),
         width_bias: dice.i8(..),
-        factory: dice.choice([Factory::File, Factory::Awaited, Factory::Received]).unwrap(),
+        factory: *dice.choice(Factory::ALL).unwrap(),
         is_stranger: dice.bool(),
     };
     let stations = [station(), station()];
-    let locks = [Lock::NoLight, Lock::Searching, Lock::Locked, Lock::OneStation, Lock::Spacing, Lock::Widths, Lock::V2];
-    let resets = [Reset::PowerOn, Reset::Requested, Reset::Fault, Reset::Panic, Reset::Watchdog];
     Health {
         uptime: dice.u32(..),
         // None while there is no cycle.
         half_turn_q8: if dice.bool() { dice.u32(..) } else { 0 },
-        lock: dice.choice(locks).unwrap(),
-        reset: dice.choice(resets).unwrap(),
+        lock: *dice.choice(Lock::ALL).unwrap(),
+        reset: *dice.choice(Reset::ALL).unwrap(),
         reset_detail: dice.u32(..),
         syncs: [dice.u16(..), dice.u16(..)],
         sweeps: [[dice.u16(..), dice.u16(..)], [dice.u16(..), dice.u16(..)]],
@@ -318,6 +322,39 @@ fn every_field_of_every_kind_is_shown_as_it_was_put_in() {
     for name in script.lines().filter_map(|line| line.strip_prefix("field(\"")?.split('"').next()) {
         assert!(name == "sweep" || fields.contains(&format!("lighthouse.{name}")), "{name} is not looked at");
     }
+}
+
+#[test]
+fn every_code_has_a_name() {
+    if !is_there() {
+        return;
+    }
+    let header = Header { pan: 0x4c48, mote: 7, sequence: 300 };
+    let with = |change: &dyn Fn(&mut Health)| {
+        let mut health = Health::default();
+        change(&mut health);
+        emit_health(header, &health).to_vec()
+    };
+    let resets = Reset::ALL.iter().map(|reset| with(&|health| health.reset = *reset));
+    let locks = Lock::ALL.iter().map(|lock| with(&|health| health.lock = *lock));
+    let factories = Factory::ALL.iter().map(|factory| with(&|health| health.stations[1].factory = *factory));
+    let modes = (0..3).map(|mode| with(&|health| health.stations[0].mode = mode));
+    let levels = [Level::None, Level::Angles, Level::Tracked, Level::Full];
+    let levels = levels.map(|level| emit(header, &Report { level, ..Report::default() }).to_vec());
+    let angles = [sweep::Station::A, sweep::Station::B].map(|station| {
+        let mut angles = Angles::default();
+        for axis in [sweep::Axis::Azimuth, sweep::Axis::Elevation] {
+            angles.sweeps.push(Measured { time: 0, station, axis, share: 0 }).unwrap();
+        }
+        emit_angles(header, &angles, &mut [0; ANGLES_LEN]).to_vec()
+    });
+    let frames: Vec<Vec<u8>> = resets.chain(locks).chain(factories).chain(modes).chain(levels).chain(angles).collect();
+    let (mut command, _home) = tshark(&frames);
+    let out = command.args(["-O", "lighthouse"]).output().unwrap();
+    let text = String::from_utf8(out.stdout).unwrap();
+    assert!(text.contains("Last reset: damaged image (5)"), "{text}");
+    assert_eq!(text.matches("Last reset: ").count(), Reset::ALL.len() + Lock::ALL.len() + Factory::ALL.len() + 3);
+    assert!(!text.contains("Unknown"), "{text}");
 }
 
 #[test]

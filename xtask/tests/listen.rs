@@ -308,20 +308,65 @@ proptest! {
 
 /// The frames as this program records them.
 fn recorded(frames: &[Vec<u8>]) -> Vec<u8> {
+    recorded_by(&["roof"], frames)
+}
+
+/// The same where each of several receivers hears all of them.
+fn recorded_by(receivers: &[&str], frames: &[Vec<u8>]) -> Vec<u8> {
     let home = tempfile::tempdir().unwrap();
     let dir = home.path().join("take");
     let (desk, from) = desk(None);
     let recorder = xtask::listen::record::Recorder::create(&dir, None, desk.shared.clone()).unwrap();
-    let source = model::lock(&desk.shared).add_source("roof", "nrf");
+    let sources: Vec<_> =
+        receivers.iter().map(|receiver| model::lock(&desk.shared).add_source(receiver, "nrf")).collect();
     for (n, frame) in frames.iter().enumerate() {
         let signal = model::Signal { rssi_dbm: Some(-50), lqi: None };
-        desk.to.send(Heard::Frame(source, 0.1 * n as f64, frame.clone(), signal)).unwrap();
+        for source in &sources {
+            desk.to.send(Heard::Frame(*source, 0.1 * n as f64, frame.clone(), signal)).unwrap();
+        }
     }
-    desk.to.send(Heard::State(source, SourceState::Ended, String::new())).unwrap();
+    for source in sources {
+        desk.to.send(Heard::State(source, SourceState::Ended, String::new())).unwrap();
+    }
     let mut session = Session { desk, from, sinks: vec![Box::new(recorder)], ends: true, until: None };
     session.listen(&mut View::None, &AtomicBool::new(false)).unwrap();
     drop(session);
     fs::read(dir.join("air.pcapng")).unwrap()
+}
+
+#[test]
+fn a_frame_that_comes_again_is_a_duplicate_of_another_receiver_and_replayed_of_the_same() {
+    let frames = secured_frames();
+    let twice: Vec<Vec<u8>> = frames.iter().flat_map(|frame| [frame.clone(), frame.clone()]).collect();
+    let counted = |capture: Vec<u8>| {
+        let mut bench = Bench::new();
+        model::lock(&bench.desk.shared).under(Some(KEY));
+        source::read_from(bench.desk.clone(), "air".into(), std::io::Cursor::new(capture));
+        let all = bench.until("the end", |all| all.sources.iter().all(|source| source.state == SourceState::Ended));
+        assert_eq!((all.motes.len(), all.motes[0].frames), (1, 5), "{all:?}");
+        let names = all.sources.iter().map(|source| (source.name.clone(), source.frames)).collect::<Vec<_>>();
+        (all.duplicates, all.rejects.get(&model::Cause::Replayed).copied().unwrap_or(0), names)
+    };
+    let names = |names: &[(&str, u64)]| names.iter().map(|(name, frames)| ((*name).to_owned(), *frames)).collect();
+    assert_eq!(counted(recorded_by(&["roof", "door"], &frames)), (5, 0, names(&[("air", 5), ("air: door", 5)])));
+    assert_eq!(counted(recorded_by(&["roof", "door"], &twice)), (5, 10, names(&[("air", 10), ("air: door", 10)])));
+    assert_eq!(counted(captured(195, &twice, <[u8]>::to_vec)), (0, 5, names(&[("air", 10)])));
+}
+
+#[test]
+fn a_recording_keeps_its_times() {
+    let home = tempfile::tempdir().unwrap();
+    let frames: Vec<Vec<u8>> = (0..30).map(|sequence| fix(3, sequence)).collect();
+    fs::write(home.path().join("air.pcapng"), recorded(&frames)).unwrap();
+    let (desk, from) = desk(None);
+    xtask::listen::record::Recording::open(home.path()).unwrap().replay(desk, 0.0);
+    let heard = from.iter().filter_map(|heard| match heard {
+        Heard::Frame(_, at_s, ..) => Some(at_s),
+        _ => None,
+    });
+    // To the nanosecond in which they are written; in seconds since 1970 it would be 0.24 us.
+    let times = (0..30).map(|n| Duration::from_millis(100 * n).as_secs_f64());
+    assert_eq!(heard.collect::<Vec<_>>(), times.collect::<Vec<_>>());
 }
 
 // --- the program ---
@@ -367,6 +412,45 @@ fn a_secured_frame_is_believed_once_and_not_again_by_the_next_listener() {
     );
     assert_eq!(again["motes"].as_array().map(Vec::len), Some(0), "{again}");
     assert_eq!(fs::read_to_string(&counters).expect("counters"), "4c48 0007 104\n");
+}
+
+#[test]
+fn counters_that_cannot_be_kept_are_an_error_before_anything_is_heard() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let [air, key, csv] = ["air.pcap", "key", "fixes.csv"].map(|name| dir.path().join(name));
+    fs::write(&air, captured(195, &secured_frames(), <[u8]>::to_vec)).expect("a capture");
+    fs::write(&key, hex::encode(KEY)).expect("a key");
+    let nowhere = dir.path().join("nowhere/heard");
+    let [air, csv_name, nowhere] = [&air, &csv, &nowhere].map(|path| path.to_str().expect("a plain path"));
+    let words = ["listen", "--capture", air, "--counters", nowhere, "--csv", csv_name, "--plain"];
+    let done = xtask(&words).env("LIGHTHOUSE_KEY", &key).output().expect("it starts");
+    let said = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(!done.status.success() && said.contains("nowhere/heard: cannot be written"), "{said}");
+    assert!(done.stdout.is_empty() && !csv.exists(), "{done:?}");
+}
+
+#[test]
+fn a_simulated_swarm_in_a_room_with_a_key_is_shown_each_time_and_keeps_no_counters() {
+    let home = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| home.path().join(name).to_str().expect("a plain path").to_owned();
+    let room = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../calib/default.toml")).expect("a room");
+    fs::write(at("lab.toml"), room.replace("[mote]", "[mote]\nkey_file = \"lab.key\"")).expect("a room");
+    fs::write(at("lab.key"), hex::encode(KEY)).expect("a key");
+    let words = ["listen", "--calib", &at("lab.toml"), "--simulate", "12", "--seconds", "2"];
+    for time in 1..=2 {
+        let done = xtask(&words).args(["--plain", "--summary", &at("all.json")]).output().expect("it starts");
+        assert!(done.status.success(), "{done:?}");
+        let all: Value = serde_json::from_slice(&fs::read(at("all.json")).expect("a summary")).expect("JSON");
+        assert_eq!(all["motes"].as_array().map(Vec::len), Some(12), "time {time}: {all}");
+        assert_eq!((&all["rejects"], &all["duplicates"]), (&serde_json::json!({}), &0.into()), "time {time}");
+    }
+    if Path::new("/proc/self/stat").exists() {
+        let words = ["listen", "--calib", &at("lab.toml"), "--measure", "2", "--simulate", "20"];
+        let done = xtask(&words).output().expect("it starts");
+        let text = String::from_utf8_lossy(&done.stdout);
+        assert!(text.contains("20 motes; ") && text.contains(" 0 lost, rejected {};"), "{done:?}");
+    }
+    assert!(!Path::new(&at("lab.counters")).exists());
 }
 
 #[test]

@@ -58,8 +58,10 @@ pub enum Due {
 const TURN: usize = 2;
 
 /// Secures one frame after the other, and keeps them.
+///
+/// The cipher is made of the key anew for each frame: kept in data memory, a bit of it that flips would make every frame a
+/// forged one from then on, unseen by the watchdog, for frames leave.
 pub struct Seal {
-    key: Key,
     counter: u32,
     kept: &'static Kept,
     /// One more than a turn's, which is more than there should be.
@@ -67,20 +69,20 @@ pub struct Seal {
 }
 
 impl Seal {
-    /// Under that key, from where it was or from where the programmer said, whichever is later.
-    pub fn new(key: &[u8; KEY_LEN], first: &'static FirstCounter, kept: &'static Kept) -> Self {
+    /// From where it was or from where the programmer said, whichever is later.
+    pub fn new(first: &'static FirstCounter, kept: &'static Kept) -> Self {
         let first = first.read();
         let counter = kept.counter().unwrap_or(first).max(first);
-        Self { key: Key::new(key), counter, kept, frames: Deque::new() }
+        Self { counter, kept, frames: Deque::new() }
     }
 
-    /// Secures the frame that `emit` makes and keeps it; whether there are more than one turn's now, so that the oldest has
+    /// Secures the frame that `emit` makes under `key` and keeps it; whether there are more than one turn's now, so that the oldest has
     /// to go.
     #[inline(always)]
-    pub fn make(&mut self, emit: impl FnOnce(&mut Aligned)) -> bool {
+    pub fn make(&mut self, key: &[u8; KEY_LEN], emit: impl FnOnce(&mut Aligned)) -> bool {
         let mut frame = Aligned::BLANK;
         emit(&mut frame);
-        self.seal(&mut frame);
+        self.seal(key, &mut frame);
         let _ = self.frames.push_back(frame);
         self.frames.len() > TURN
     }
@@ -92,12 +94,12 @@ impl Seal {
 
     /// Secures a plain frame where it is.
     #[inline(never)]
-    fn seal(&mut self, frame: &mut Aligned) {
+    fn seal(&mut self, key: &[u8; KEY_LEN], frame: &mut Aligned) {
         let counter = self.counter;
         // Used up after 13 years of 10 frames a second: the frame stays plain, which listeners with a key refuse.
         let Some(next) = counter.checked_add(1) else { return };
         self.counter = next;
         self.kept.keep(next);
-        let _ = self.key.seal(frame, counter);
+        let _ = Key::new(key).seal(frame, counter);
     }
 }

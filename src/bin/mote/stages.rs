@@ -26,6 +26,12 @@ pub trait Board {
     /// Who this mote is, read from where no bit of data memory can flip it.
     fn identity() -> Identity;
 
+    /// The room's key, if it has one; from the same place, for the same reason.
+    #[cfg(feature = "security")]
+    fn key() -> Option<&'static [u8; 16]> {
+        None
+    }
+
     /// Edges that became no pulse so far, wrapping.
     fn edges_lost() -> u16;
 
@@ -402,14 +408,16 @@ impl<B: Board> Frames<B> {
     fn put(&mut self, emit: impl FnOnce(&mut Aligned, Header)) -> bool {
         let header = header::<B>(self.sequence);
         #[cfg(feature = "security")]
-        if let Some(seal) = &mut self.seal {
+        if let Some(seal) = &mut self.seal
+            && let Some(key) = B::key()
+        {
             if self.queue.is_full() {
                 // Not even made: what is lost has no number.
                 self.lost = self.lost.wrapping_add(1);
                 return false;
             }
             self.sequence = self.sequence.wrapping_add(1);
-            let crowded = seal.make(|frame| emit(frame, header));
+            let crowded = seal.make(key, |frame| emit(frame, header));
             // Where no turn came for it, the oldest goes out all the same: a mote is never silent for good.
             return if self.waits { crowded && self.release_one() } else { self.release() };
         }

@@ -51,6 +51,11 @@ impl mote::stages::Board for Nrf52840 {
         IDENTITY.read()
     }
 
+    #[cfg(feature = "security")]
+    fn key() -> Option<&'static [u8; 16]> {
+        mote::room::KEY.as_ref()
+    }
+
     fn edges_lost() -> u16 {
         capture::lost()
     }
@@ -129,7 +134,7 @@ mod app {
         let (capture, pulses) = capture::split(cx.local.pulses);
         let (classify, solve, frames) = cx.local.queues.wire(pulses, boot.reset());
         #[cfg(feature = "security")]
-        let solve = solve.under(KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
+        let solve = solve.under(KEY.map(|_| Seal::new(&crate::FIRST, &crate::KEPT)));
         (
             Shared { classify, radio: Radio::new(frames, cx.local.psdu, channel) },
             Local { capture, solve, watchdog, boot },

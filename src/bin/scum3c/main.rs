@@ -47,6 +47,11 @@ impl mote::stages::Board for Scum3c {
         IDENTITY.read()
     }
 
+    #[cfg(feature = "security")]
+    fn key() -> Option<&'static [u8; 16]> {
+        mote::room::KEY.as_ref()
+    }
+
     fn edges_lost() -> u16 {
         capture::lost()
     }
@@ -77,6 +82,8 @@ mod app {
     use crate::capture::{self, Capture};
     use crate::image::{self, Image};
     use crate::mote::room::CONFIG;
+    #[cfg(feature = "security")]
+    use crate::mote::room::KEY;
     #[cfg(feature = "security")]
     use crate::mote::seal::Seal;
     use crate::mote::stages::{Classify, Queues, Solve};
@@ -115,7 +122,7 @@ mod app {
         let (capture, pulses) = capture::start();
         let (classify, solve, frames) = cx.local.queues.wire(pulses, reset);
         #[cfg(feature = "security")]
-        let solve = solve.under(crate::mote::room::KEY.map(|key| Seal::new(&key, &crate::FIRST, &crate::KEPT)));
+        let solve = solve.under(KEY.map(|_| Seal::new(&crate::FIRST, &crate::KEPT)));
         (Shared { capture, classify, radio: Radio::new(frames, identity.channel) }, Local { solve })
     }
 

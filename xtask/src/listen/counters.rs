@@ -1,16 +1,17 @@
 //! The frame counters that were heard, kept in a file: what was believed once is not believed again by the next listener.
 //!
+//! Several listeners may keep theirs in one file. Motes that are simulated have none there.
+//!
 //! What can go wrong: the file is lost, and frames from before count once more; or the computer goes down, and those of the
-//! last ten seconds do.
+//! last ten seconds do. A file that cannot be written is an error before anything is heard.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 
 use super::model::{Event, Shared, lock};
 use super::output::Sink;
-use crate::whole::folder;
 
 /// How often they are written.
 const EVERY: Duration = Duration::from_secs(10);
@@ -26,10 +27,12 @@ impl Counters {
     /// Takes what an earlier listener left at `path`.
     ///
     /// # Errors
-    /// A file that holds something else, or no folder for one.
+    /// A file that holds something else, or cannot be written.
     pub(super) fn open(path: PathBuf, shared: Shared) -> Result<Self> {
-        ensure!(folder(&path).is_dir(), "{}: no file can be made there", path.display());
-        lock(&shared).guard_mut().load(&path)?;
+        let mut swarm = lock(&shared);
+        swarm.guard_mut().load(&path)?;
+        swarm.guard_mut().save(&path)?;
+        drop(swarm);
         Ok(Self { path, shared, written: Instant::now() })
     }
 }

@@ -142,6 +142,10 @@ fn head(all: &Snapshot) -> Line<'static> {
         spans.push(Span::styled(" two motes with one id ", Style::new().bg(Color::Red).fg(Color::White)));
         spans.push(Span::raw("  "));
     }
+    if all.motes.iter().any(|mote| mote.has_refused_twin) {
+        spans.push(Span::styled(" a mote's twin is refused ", Style::new().bg(Color::Yellow).fg(Color::Black)));
+        spans.push(Span::raw("  "));
+    }
     spans.push(Span::styled("q leaves", Style::new().fg(Color::DarkGray)));
     Line::from(spans)
 }
@@ -188,7 +192,7 @@ fn table(frame: &mut Frame<'_>, all: &Snapshot, first: usize, at: Rect) {
 fn row(n: usize, mote: &MoteNews, columns: &[usize]) -> Row<'static> {
     let dash = || "-".to_owned();
     let mut name = mote.key.clone();
-    if mote.is_conflict {
+    if mote.is_conflict || mote.has_refused_twin {
         name.push('!');
     }
     let fix = mote.fix.as_ref();
@@ -354,6 +358,7 @@ fn foot(all: &Snapshot, notes: &[String]) -> Vec<Line<'static>> {
         lines.push(Line::from(vec![state, Span::raw(text + &bad + &unplugged + &note)]));
     }
     lines.push(Line::raw(rejects(all)));
+    lines.extend(all.refusals().map(|refusals| Line::styled(refusals, Style::new().fg(Color::Yellow))));
     lines.extend(notes.iter().cloned().map(Line::raw));
     lines
 }

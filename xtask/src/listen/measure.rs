@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use super::simulate::{self, Swarm};
 use crate::calib::schema;
 use crate::pcap::{self, Frame};
-use crate::whole;
+use crate::{trust, whole};
 
 /// The share of one core that listening may take.
 const CPU_LIMIT: f64 = 0.5;
@@ -40,7 +40,7 @@ pub fn measure(calib: &Path, motes: u16, rate: f64, seconds: f64) -> Result<()> 
     ensure!(Path::new("/proc/self/stat").exists(), "memory and processor time are read from /proc, which is not here");
     let calibration = schema::open(calib)?;
     let scene = simulate::scene(&calib.display().to_string(), &calibration)?;
-    let mut swarm = Swarm::new(&scene, calibration.mote.pan, motes, rate);
+    let mut swarm = Swarm::new(&scene, calibration.mote.pan, motes, rate).under(trust::key_of(&calibration)?);
     let records = seconds <= RECORDED_S;
     let too = if records { "; the listener records" } else { "" };
     println!("{motes} motes, {:.0} frames a second, for {seconds} s{too}", swarm.frames_per_s());
@@ -48,6 +48,8 @@ pub fn measure(calib: &Path, motes: u16, rate: f64, seconds: f64) -> Result<()> 
     let summary = dir.path().join("summary.json");
     let mut listener = Command::new(std::env::current_exe().context("this program's own name")?);
     listener.args(["listen", "--capture", "-", "--plain", "--calib"]).arg(calib).arg("--summary").arg(&summary);
+    // The room's own are of motes that are there.
+    listener.arg("--counters").arg(dir.path().join("counters"));
     if records {
         listener.arg("--record").arg(dir.path().join("take"));
     }

@@ -11,7 +11,8 @@
 //!
 //! Who speaks is told by more than the mote id, for somebody will flash two motes alike. Frames of one id whose sequences
 //! or clocks do not continue each other are separate voices. When the older voice is heard again after the newer one,
-//! there are two motes and both are flagged; when it falls silent, the mote has started anew.
+//! there are two motes and both are flagged; when it falls silent, the mote has started anew. Where there is a key, of two
+//! motes that count far apart only the one ahead is believed ([`crate::trust`]), and it is flagged.
 //!
 //! What can go wrong: more motes than fit; the one that was silent longest is forgotten. Memory does not grow.
 
@@ -31,7 +32,7 @@ use serde::Serialize;
 
 use crate::calib::{Calibration, schema};
 use crate::light::HALF_TURN_S;
-use crate::trust::{Guard, Refusal};
+use crate::trust::{self, Guard, Refusal};
 
 /// Of the JSON: raised when a field changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -39,6 +40,8 @@ pub const FORMAT: u32 = 1;
 pub const MOTES: usize = 4096;
 /// Receivers that are kept.
 pub const SOURCES: usize = 64;
+/// Motes that are not believed, of which is told at a time.
+pub const REFUSED: usize = 8;
 /// Points of a mote's trail: 25 s of them.
 pub const TRAIL: usize = 256;
 /// Shortest time between two points of a trail, seconds.
@@ -61,6 +64,9 @@ const RESTART_S: f64 = 2.5;
 /// Arrivals from which a rate is made, and how far back they may lie, seconds.
 const ARRIVALS: usize = 64;
 const RATE_OVER_S: f64 = 3.0;
+
+/// The kind of a source whose motes are simulated.
+pub const SIMULATION: &str = "simulation";
 
 /// Everything that was heard, shared between the ear and the views.
 pub type Shared = Arc<Mutex<Swarm>>;
@@ -103,7 +109,7 @@ pub enum Cause {
     Capture,
     /// The message integrity code does not fit: forged, or another room's key.
     Mic,
-    /// An old frame sent once more.
+    /// A frame sent once more, or an old one.
     Replayed,
     /// Without a message integrity code where one is asked for.
     Unsecured,
@@ -334,9 +340,9 @@ pub struct Condition {
     pub clock_hz: Option<f64>,
     /// Seconds since it started.
     pub uptime_s: u32,
-    /// Why it last started: `power_on`, `requested`, `fault`, `panic`, `watchdog`.
+    /// Why it last started: `power_on`, `requested`, `fault`, `panic`, `watchdog`, `damaged_image`.
     pub reset: &'static str,
-    /// Program counter of a fault or a panic.
+    /// Program counter of a fault, line of a panic.
     pub reset_detail: Option<u32>,
     /// Stations A and B as it knows them.
     pub stations: [StationNews; 2],
@@ -464,6 +470,9 @@ pub struct MoteNews {
     pub twin: u8,
     /// Another mote uses the same address.
     pub is_conflict: bool,
+    /// Frames of this address with older counters rise as another mote's would, and are refused: there is one, or somebody
+    /// sends old ones again.
+    pub has_refused_twin: bool,
     /// Indices into [`Snapshot::sources`]: who heard it in the last seconds, the best first.
     pub sources: Vec<SourceId>,
     /// Of the last frame.
@@ -535,6 +544,48 @@ pub struct OwnLosses {
     pub reports: u16,
 }
 
+/// A mote that is not believed, for its frames are older than others of its id: it counts anew, or is another's twin, or its
+/// old frames are sent again.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RefusedMote {
+    /// [`Key`] as text.
+    pub key: String,
+    /// The personal area network.
+    pub pan: u16,
+    /// The mote's short address.
+    pub mote: u16,
+    /// Newer frames come between those that are refused.
+    pub is_twin: bool,
+    /// Counter of the last that was refused.
+    pub counter: u32,
+    /// The largest that was believed.
+    pub latest: u32,
+    /// How many were refused, each with a larger counter than the one before.
+    pub frames: u64,
+    /// Seconds since the last.
+    pub silent_s: f64,
+    /// For people: what it was, and what to do.
+    pub note: String,
+}
+
+impl RefusedMote {
+    fn of(behind: trust::Behind, now_s: f64) -> Self {
+        let trust::Behind { pan, mote, is_twin, counter, latest, frames, at_s } = behind;
+        let key = Key { pan, mote, twin: 0 }.to_string();
+        let why =
+            if is_twin { "another mote says that it is this one" } else { "it counts anew, or another has its id" };
+        let note = format!(
+            "frames of {key} are refused, counter {counter} after {latest}: {why}, or old ones are sent again; \
+             program it again with an id of its own"
+        );
+        Self { key, pan, mote, is_twin, counter, latest, frames, silent_s: now_s - at_s, note }
+    }
+
+    fn is_recent(&self) -> bool {
+        self.silent_s <= trust::STREAM_S
+    }
+}
+
 /// All that is known at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Snapshot {
@@ -552,10 +603,26 @@ pub struct Snapshot {
     pub duplicates: u64,
     /// What was rejected, by cause; causes that never occurred are left out.
     pub rejects: BTreeMap<Cause, u64>,
+    /// Motes whose frames are refused for their counters, although these rise; [`REFUSED`] of them, twins first, then those
+    /// that were heard last.
+    pub refused_motes: Vec<RefusedMote>,
     /// Motes that were forgotten for want of room.
     pub forgotten: u64,
     /// The motes, by PAN, address and twin.
     pub motes: Vec<MoteNews>,
+}
+
+impl Snapshot {
+    /// Of the motes that are being refused now, in a line, however many there are.
+    #[must_use]
+    pub fn refusals(&self) -> Option<String> {
+        let mut now = self.refused_motes.iter().filter(|refused| refused.is_recent());
+        let first = now.next()?;
+        Some(match now.count() {
+            0 => first.note.clone(),
+            others => format!("{}; and so are {others} others or more", first.note),
+        })
+    }
 }
 
 /// Everything that was heard. See the module.
@@ -572,6 +639,8 @@ pub struct Swarm {
     voices: usize,
     /// Who is believed.
     guard: Guard,
+    /// The same for motes that are simulated: they count from zero each time, and nobody's counters are theirs.
+    simulated: Guard,
 }
 
 impl Swarm {
@@ -583,10 +652,10 @@ impl Swarm {
 
     /// Believes frames under the room's key alone, if there is one.
     pub fn under(&mut self, key: Option<[u8; 16]>) {
-        self.guard = Guard::new(key);
+        (self.guard, self.simulated) = (Guard::new(key), Guard::new(key));
     }
 
-    /// Who decides which frames are believed.
+    /// Who decides which frames from the air are believed.
     pub(super) fn guard_mut(&mut self) -> &mut Guard {
         &mut self.guard
     }
@@ -629,7 +698,9 @@ impl Swarm {
 
     /// A frame, check sequence included. None if it was heard already.
     pub fn hear(&mut self, at_s: f64, source: SourceId, bytes: &[u8], signal: Signal) -> Option<Event> {
-        let opened = match self.guard.open(bytes) {
+        let is_simulated = self.sources.get(source).is_some_and(|source| source.kind == SIMULATION);
+        let guard = if is_simulated { &mut self.simulated } else { &mut self.guard };
+        let opened = match guard.hear(at_s, source, bytes) {
             // Another receiver has heard it.
             Err(Refusal::Duplicate) => {
                 self.pass(at_s);
@@ -774,12 +845,16 @@ impl Swarm {
     pub fn snapshot(&self, trail: usize) -> Snapshot {
         let mut motes = Vec::with_capacity(self.voices);
         for (&(pan, mote), voices) in &self.ids {
-            let is_conflict = voices.iter().filter(|voice| voice.is_mote).count() > 1;
+            let doubts = self.doubts(pan, mote, voices);
             for (twin, voice) in voices.iter().filter(|voice| voice.is_mote).enumerate() {
                 let key = Key { pan, mote, twin: twin as u8 };
-                motes.push(voice.news(key, is_conflict, self.now_s, trail));
+                motes.push(voice.news(key, doubts, self.now_s, trail));
             }
         }
+        let mut refused_motes: Vec<_> = self.guard.behind().map(|behind| RefusedMote::of(behind, self.now_s)).collect();
+        refused_motes
+            .sort_by(|one, other| other.is_twin.cmp(&one.is_twin).then(one.silent_s.total_cmp(&other.silent_s)));
+        refused_motes.truncate(REFUSED);
         Snapshot {
             format: FORMAT,
             time_s: self.now_s,
@@ -788,6 +863,7 @@ impl Swarm {
             frames: self.frames,
             duplicates: self.duplicates,
             rejects: self.rejects.clone(),
+            refused_motes,
             forgotten: self.forgotten,
             motes,
         }
@@ -797,10 +873,25 @@ impl Swarm {
     #[must_use]
     pub fn mote(&self, pan: u16, mote: u16, twin: u8, trail: usize) -> Option<MoteNews> {
         let voices = self.ids.get(&(pan, mote))?;
-        let is_conflict = voices.iter().filter(|voice| voice.is_mote).count() > 1;
+        let doubts = self.doubts(pan, mote, voices);
         let voice = voices.iter().filter(|voice| voice.is_mote).nth(twin.into())?;
-        Some(voice.news(Key { pan, mote, twin }, is_conflict, self.now_s, trail))
+        Some(voice.news(Key { pan, mote, twin }, doubts, self.now_s, trail))
     }
+
+    fn doubts(&self, pan: u16, mote: u16, voices: &[Voice]) -> Doubts {
+        let refused = self.guard.behind_of(pan, mote).map(|behind| RefusedMote::of(behind, self.now_s));
+        Doubts {
+            is_conflict: voices.iter().filter(|voice| voice.is_mote).count() > 1,
+            has_refused_twin: refused.is_some_and(|refused| refused.is_twin && refused.is_recent()),
+        }
+    }
+}
+
+/// Whether an address is one mote's.
+#[derive(Debug, Clone, Copy)]
+struct Doubts {
+    is_conflict: bool,
+    has_refused_twin: bool,
 }
 
 fn digest(bytes: &[u8]) -> u64 {
@@ -1106,7 +1197,7 @@ impl Voice {
         if span > 0.0 { count / span } else { 0.0 }
     }
 
-    fn news(&self, key: Key, is_conflict: bool, now_s: f64, trail: usize) -> MoteNews {
+    fn news(&self, key: Key, doubts: Doubts, now_s: f64, trail: usize) -> MoteNews {
         let mut ears: Vec<_> = self.ears.iter().filter(|ear| now_s - ear.1 <= RATE_OVER_S).collect();
         ears.sort_by_key(|ear| std::cmp::Reverse(ear.2.rssi_dbm));
         MoteNews {
@@ -1114,7 +1205,8 @@ impl Voice {
             pan: key.pan,
             mote: key.mote,
             twin: key.twin,
-            is_conflict,
+            is_conflict: doubts.is_conflict,
+            has_refused_twin: doubts.has_refused_twin,
             sources: ears.into_iter().map(|ear| ear.0).collect(),
             signal: self.signal,
             silent_s: now_s - self.heard_s,

@@ -25,7 +25,7 @@ use pcap_file::pcapng::blocks::interface_description::{InterfaceDescriptionBlock
 
 use super::model::{self, Cause, Event, Shared, SourceId, SourceState};
 use super::output::{FixRow, Growing, HealthRow, Sink, Table};
-use super::source::{Desk, Heard, as_heard};
+use super::source::{Desk, Heard, as_heard, seconds};
 use crate::trust;
 
 /// Bytes that may wait for the next writing.
@@ -237,7 +237,7 @@ fn replay(desk: &Desk, name: &str, file: File, speed: f64) {
             source
         });
         let at = record.at.unwrap_or_default();
-        let at_s = at.as_secs_f64() - first.get_or_insert(at).as_secs_f64();
+        let at_s = seconds(*first.get_or_insert(at), at);
         if speed > 0.0 {
             let due_s = at_s / speed;
             while desk.now_s() < due_s && !desk.is_over() {

@@ -12,12 +12,13 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use fixed::types::{I6F10, I16F16, U0F16, U8F8};
-use lighthouse_mote::frame::{self, Header, Health, Level, Lock, Report, Station};
+use lighthouse_mote::frame::secured::Key;
+use lighthouse_mote::frame::{self, Aligned, Header, Health, Level, Lock, Report, Station};
 use sim::mote::Mote;
 use sim::world::path::Path as MotePath;
 use sim::world::{Scene, World};
 
-use super::model::{Signal, SourceState};
+use super::model::{SIMULATION, Signal, SourceState};
 use super::source::{Desk, Heard};
 use crate::calib::{Calibration, firmware};
 use crate::flash::identity::{self, Change};
@@ -83,7 +84,7 @@ pub fn lit(scene: &Scene) -> f64 {
 /// # Errors
 /// The firmware does not start.
 pub fn virtual_motes(desk: Desk, elf: &[u8], scene: &Scene, count: u16) -> Result<()> {
-    let source = desk.add("simulated light", "simulation");
+    let source = desk.add("simulated light", SIMULATION);
     let mut motes = Vec::new();
     for id in 1..=count {
         let mut scene = scene.clone();
@@ -132,11 +133,14 @@ pub struct Swarm {
     motes: Vec<Teller>,
     pan: u16,
     per_s: f64,
+    key: Option<Key>,
 }
 
 struct Teller {
     world: World,
     sequence: u16,
+    /// Of its next secured frame.
+    counter: u32,
     /// When it says something next, seconds.
     next_s: f64,
     next_health_s: f64,
@@ -150,9 +154,16 @@ impl Swarm {
             // Spread over the time between two reports.
             let part = f64::from(id) * 0.618_033_988_75 % 1.0;
             let world = World::new(scene, id.into());
-            Teller { world, sequence: id.wrapping_mul(7919), next_s: part / per_s, next_health_s: part }
+            let sequence = id.wrapping_mul(7919);
+            Teller { world, sequence, counter: 0, next_s: part / per_s, next_health_s: part }
         });
-        Self { motes: motes.collect(), pan, per_s }
+        Self { motes: motes.collect(), pan, per_s, key: None }
+    }
+
+    /// The same under the room's key, if there is one: their counters begin at 0.
+    #[must_use]
+    pub fn under(self, key: Option<[u8; 16]>) -> Self {
+        Self { key: key.map(|bytes| Key::new(&bytes)), ..self }
     }
 
     /// Hands over all that is said up to and including a time, with its time.
@@ -168,13 +179,19 @@ impl Swarm {
                 }
                 let header = Header { pan, mote: id, sequence: mote.sequence };
                 mote.sequence = mote.sequence.wrapping_add(1);
+                let mut said = Aligned::BLANK;
                 if is_health {
                     mote.next_health_s += 1.0;
-                    take(at_s, &frame::emit_health(header, &health(id, at_s)));
+                    frame::emit_health_into(&mut said, header, &health(id, at_s));
                 } else {
                     mote.next_s += every_s;
-                    take(at_s, &frame::emit(header, &report(&mote.world, id, at_s)));
+                    frame::emit_into(&mut said, header, &report(&mote.world, id, at_s));
                 }
+                // None is too long to be sealed.
+                if self.key.as_ref().is_some_and(|key| key.seal(&mut said, mote.counter)) {
+                    mote.counter = mote.counter.wrapping_add(1);
+                }
+                take(at_s, said.bytes());
             }
         }
     }
@@ -226,7 +243,7 @@ fn health(id: u16, at_s: f64) -> Health {
 
 /// Lets a swarm be heard.
 pub fn swarm(desk: Desk, mut swarm: Swarm) {
-    let source = desk.add("simulated swarm", "simulation");
+    let source = desk.add("simulated swarm", SIMULATION);
     let begun_s = desk.now_s();
     spawn(move || {
         desk.state(source, SourceState::Open, "no hardware: these motes are simulated");
@@ -247,9 +264,16 @@ mod tests {
 
     #[test]
     fn a_swarm_says_what_it_should_and_nothing_is_lost() {
+        for key in [None, Some(*b"a room of its ow")] {
+            a_swarm_under(key);
+        }
+    }
+
+    fn a_swarm_under(key: Option<[u8; 16]>) {
         let calibration = crate::calib::schema::read("d", include_str!("../../../calib/default.toml")).unwrap();
-        let mut swarm = Swarm::new(&scene("d", &calibration).unwrap(), 0x4C48, 50, 10.0);
+        let mut swarm = Swarm::new(&scene("d", &calibration).unwrap(), 0x4C48, 50, 10.0).under(key);
         let mut heard = model::Swarm::new(None);
+        heard.under(key);
         let source = heard.add_source("simulation", "simulation");
         let mut count = 0;
         for step in 0..100 {

@@ -229,10 +229,35 @@ pub fn read_from(desk: Desk, name: String, from: impl Read + Send + 'static) {
     spawn(move || {
         desk.state(source, SourceState::Open, "");
         let mut first = None;
+        // One that has several interfaces is several receivers'; the first has the capture's own name.
+        let mut interfaces: Vec<(u32, Option<String>, SourceId)> = Vec::new();
         let ended = capture::records(&name, from, |record| {
             let at_s = since(&mut first, desk.now_s(), record);
+            let (id, called) = record.interface;
+            let known = interfaces.iter().find(|known| known.0 == id && known.1.as_deref() == called);
+            let source = match known {
+                Some((_, _, source)) => *source,
+                // A record that is damaged may name any.
+                None if record.frame.is_none() => source,
+                None => {
+                    let source = match interfaces.is_empty() {
+                        true => source,
+                        false => {
+                            let called = called.map_or_else(|| format!("interface {id}"), str::to_owned);
+                            let further = desk.add(&format!("{name}: {called}"), "capture");
+                            desk.state(further, SourceState::Open, "");
+                            further
+                        }
+                    };
+                    interfaces.push((id, called.map(str::to_owned), source));
+                    source
+                }
+            };
             desk.say(as_heard(source, at_s, record))
         });
+        for (_, _, further) in interfaces.iter().skip(1) {
+            desk.state(*further, SourceState::Ended, "");
+        }
         match ended {
             Ok(()) => desk.state(source, SourceState::Ended, ""),
             Err(error) => {
@@ -258,5 +283,32 @@ pub(super) fn as_heard(source: SourceId, at_s: f64, record: &Record<'_>) -> Hear
 fn since(first: &mut Option<(Duration, f64)>, now_s: f64, record: &Record<'_>) -> f64 {
     let Some(at) = record.at else { return now_s };
     let (first, from_s) = *first.get_or_insert((at, now_s));
-    from_s + at.as_secs_f64() - first.as_secs_f64()
+    from_s + seconds(first, at)
+}
+
+/// Seconds from one time to another, which may lie before it. Of the difference: since 1970 so many seconds have passed
+/// that 52 bits of them leave 0.24 us.
+pub(super) fn seconds(from: Duration, to: Duration) -> f64 {
+    let apart_s = from.abs_diff(to).as_secs_f64();
+    if to < from { -apart_s } else { apart_s }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_capture_of_today_keeps_its_nanoseconds() {
+        let begun = Duration::from_secs(1_760_000_000);
+        let mut first = None;
+        let mut at_s = |at| {
+            let record = Record { at: Some(at), interface: (0, None), frame: None, rssi_dbm: None, lqi: None };
+            since(&mut first, 0.0, &record)
+        };
+        assert_eq!(at_s(begun), 0.0);
+        assert_eq!(at_s(begun + Duration::from_nanos(14_590_000)), 0.014_59);
+        assert_eq!(at_s(begun + Duration::from_nanos(3_600_000_000_007)), 3_600.000_000_007);
+        // What came before the first, as in captures of several receivers.
+        assert_eq!(at_s(begun - Duration::from_nanos(250)), -250e-9);
+    }
 }

@@ -201,6 +201,8 @@ pub fn swarm(arguments: &Arguments, build: &dyn Fn(&str) -> Result<Vec<u8>>) -> 
 
 /// Half a minute of the virtual motes' time.
 const FIRMWARE_S: f64 = 30.0;
+/// Where a rate is asked for: so long that each mote counts its oscillators, and twice at most.
+const COUNTED_S: f64 = 62.0;
 
 /// As many motes as `every` has slots for with room between: nothing may be lost that is slotted, whether it has to be
 /// sealed first or not; but where a report is due while the oscillators are counted, what that moves.
@@ -211,6 +213,7 @@ fn firmware_in_one_room(
     build: &dyn Fn(&str) -> Result<Vec<u8>>,
 ) -> Result<()> {
     let is_asked = every.is_some();
+    let seconds = if is_asked { COUNTED_S } else { FIRMWARE_S };
     let out = out.join(every.map_or("firmware".to_string(), |every| format!("firmware-{every}")));
     let every = every.unwrap_or((2 * motes).max(USUAL));
     ensure!(every >= 2 * motes, "--every {every}: {motes} motes need {} half turns, two each", 2 * motes);
@@ -231,11 +234,11 @@ fn firmware_in_one_room(
     for (name, send, lines, key) in ways {
         let elf = build(&format!("send = \"{send}\"\nreport_every_half_turns = {every}\n{lines}"))?;
         let heard =
-            firmware::run(&elf, key, motes, every, FIRMWARE_S, |id| println!("{name}: virtual mote {id} has run"))?;
+            firmware::run(&elf, key, motes, every, seconds, |id| println!("{name}: virtual mote {id} has run"))?;
         found.push((name, send, heard));
         bytes.insert(name.to_string(), image::package(&elf)?.length().into());
     }
-    let mut table = format!("{motes} virtual motes in one room, a report every {every} half turns, {FIRMWARE_S} s\n");
+    let mut table = format!("{motes} virtual motes in one room, a report every {every} half turns, {seconds} s\n");
     for (name, _, heard) in &found {
         let firmware::Heard { fixes, others, lost, late } = heard;
         // None is at the usual rates; it is looked for where somebody asks for others.
@@ -250,10 +253,10 @@ fn firmware_in_one_room(
     let more = size("slotted") - size("steady");
     let summary = json!({ "motes": motes, "table": table, "image_bytes": bytes, "slotted_less_steady_bytes": more });
     whole::json(&out.join("summary.json"), &summary)?;
-    // A mote counts once in so long; what it moves by less than seven half turns may overlap as many others and a health
+    // A mote counts twice in so long at most; what it moves by less than seven half turns may overlap as many others and a health
     // frame.
     let moved = if every < COUNTED_HALF_TURNS { COUNTED_HALF_TURNS.div_ceil(every) } else { 0 };
-    let bearable = usize::from(motes * if moved > 0 { 2 * moved + 1 } else { 0 });
+    let bearable = usize::from(motes * if moved > 0 { 2 * (2 * moved + 1) } else { 0 });
     for (name, send, heard) in found {
         ensure!(
             send != "slotted" || heard.lost <= bearable,

@@ -114,7 +114,10 @@ fn a_room_is_replaced_with_its_mote_kept_and_the_one_before_beside_it() {
     desk.run(&["--simulate"], &"\n".repeat(9)).0.expect("a room");
     let text = fs::read_to_string(&desk.room).expect("a room");
     let own = text.replace("id = 1\n", "id = 77\n").replace("[station.A]\n", "[station.A]\nid = 3200290360\n");
-    let own = own.replace("[station.B]\n", "[station.B]\nfactory = \"received\"\n");
+    let rotor = "[station.B.factory.az]\n";
+    assert!(own.contains(rotor), "terms were fitted: {own}");
+    let own = own.replace(rotor, &format!("[station.B.factory]\nsource = \"received\"\n{rotor}"));
+    let factory = schema::read("own.toml", &own).expect("a room").stations[1].factory;
     fs::write(&desk.room, &own).expect("a change");
     let (end, said) = desk.run(&["--simulate"], "");
     end.expect("a room again, from the places that are there");
@@ -123,7 +126,8 @@ fn a_room_is_replaced_with_its_mote_kept_and_the_one_before_beside_it() {
     assert_eq!(after.stations.map(|station| station.id), [Some(3_200_290_360), None]);
     assert_eq!(after.received(), [false, true]);
     assert!(said.contains("station A's serial number is 3200290360"), "{said}");
-    assert!(said.contains("the room before lacks its own terms"), "{said}");
+    assert!(said.contains("station B, factory = \"received\": its own terms are taken"), "{said}");
+    assert_eq!(after.stations[1].factory, factory);
     let before = desk.home.path().join("calib/lab.toml~");
     assert_eq!(fs::read_to_string(&before).expect("the one before"), own);
     assert!(said.contains("the one before is"), "{said}");
@@ -235,8 +239,6 @@ fn captured_angles_and_a_table_of_places_are_a_room_too() {
     let (seen, truth) = sweeps::of_recording(&opened, &light);
     // The walk once more, as a mote with a 10 MHz clock would have sent it.
     const TICKS_HZ: f64 = 10e6;
-    // Whose clock begins with its first sweep.
-    let first_s = seen.sightings[0].at_s;
     let mut frames = Vec::new();
     for (number, some) in seen.sightings.chunks(ANGLES).enumerate() {
         let mut angles = Angles { half_turn_q8: (TICKS_HZ / 120.0 * 256.0).round() as u32, ..Angles::default() };
@@ -256,7 +258,7 @@ fn captured_angles_and_a_table_of_places_are_a_room_too() {
     let mut text = "time_s,x_m,y_m,z_m\n".to_string();
     for sample in truth {
         let [x, y, z] = sample.position.into();
-        text += &format!("{:.5},{x},{y},{z}\n", sample.at_s - first_s - 3.5);
+        text += &format!("{:.5},{x},{y},{z}\n", sample.at_s - 3.5);
     }
     fs::write(&table, text).unwrap();
     let words = ["--recording", shown(&air), "--truth", shown(&table), "-o", shown(&room), "--report", shown(&page)];

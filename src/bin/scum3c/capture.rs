@@ -28,7 +28,7 @@ use crate::pac::{Interrupt, nvic};
 const RISE: u32 = Interrupt::GPIO8.bit();
 /// The line that is active in the dark.
 const FALL: u32 = Interrupt::GPIO9.bit();
-/// Pended to have [`look_again`] called.
+/// Pended to have [`look_again`] called when there is nothing else left to do.
 const AGAIN: u32 = Interrupt::SOFT15.bit();
 /// Both: to be left alone by everyone else.
 pub const EDGES: u32 = RISE | FALL;
@@ -66,20 +66,24 @@ fn waiting(written: u32, read: u32) -> u32 {
     written.wrapping_sub(read) % (2 * LEN as u32)
 }
 
-/// Counts the two edges of a pulse, and looks away until there is nothing left to do: [`look_again`].
-///
-/// Light that storms would otherwise leave the processor to these two handlers and what reads their queue.
+/// Counts the two edges of a pulse. A call, for the compiler else makes every other pulse jump.
 #[cold]
+#[inline(never)]
 fn lose() {
-    nvic::ICER.write(RISE);
-    nvic::ISPR.write(AGAIN);
     QUEUE.lost.store(lost().wrapping_add(2), Ordering::Relaxed);
+}
+
+/// Where both lines are closed, has [`look_again`] called when there is nothing else left to do.
+#[inline(always)]
+pub fn catch_up() {
+    if nvic::ISER.read() & EDGES == 0 {
+        nvic::ISPR.write(AGAIN);
+    }
 }
 
 /// Everything that was waiting has been done: waits for light again. Where there is light already, its pulse is cut short.
 pub fn look_again() {
-    nvic::ICPR.write(RISE);
-    nvic::ISER.write(RISE);
+    open(RISE);
 }
 
 /// Edges dropped so far, wrapping.
@@ -108,18 +112,23 @@ impl Capture {
     /// The light has come on.
     #[inline(always)]
     pub fn rise(&mut self, at: Ticks) {
-        hand_over(RISE, FALL);
+        nvic::ICER.write(RISE);
+        open(FALL);
         QUEUE.rise.store(at.0, Ordering::Relaxed);
     }
 
     /// The light has gone off: a pulse is complete.
+    ///
+    /// Where there is no room for the pulse, both lines stay closed until [`look_again`]: light that storms would otherwise
+    /// leave the processor to these two handlers and what reads their queue.
     #[inline(always)]
     pub fn fall(&mut self, at: Ticks) {
-        hand_over(FALL, RISE);
+        nvic::ICER.write(FALL);
         let written = QUEUE.written.load(Ordering::Relaxed);
         if waiting(written, QUEUE.read.load(Ordering::Relaxed)) >= LEN as u32 {
             return lose();
         }
+        open(RISE);
         let [rise, fall] = &QUEUE.pulses[written as usize % LEN];
         rise.store(QUEUE.rise.load(Ordering::Relaxed), Ordering::Relaxed);
         fall.store(at.0, Ordering::Relaxed);
@@ -158,12 +167,9 @@ impl Pulses for Reader {
     }
 }
 
-/// Closes the line that just fired and opens the other.
-///
-/// What the other line left pending from before is void; if it is active again already, it pends itself anew.
+/// Opens a line. What it left pending from before is void; if it is active again already, it pends itself anew.
 #[inline(always)]
-fn hand_over(from: u32, to: u32) {
-    nvic::ICER.write(from);
-    nvic::ICPR.write(to);
-    nvic::ISER.write(to);
+fn open(line: u32) {
+    nvic::ICPR.write(line);
+    nvic::ISER.write(line);
 }

@@ -144,6 +144,7 @@ mod app {
 
     #[task(binds = SOFT4, priority = 3, shared = [classify])]
     fn classify(cx: classify::Context) {
+        capture::catch_up();
         let done = cx.shared.classify.run(&CONFIG);
         done.wake(|| rtic::pend(Interrupt::SOFT5), || rtic::pend(Interrupt::SOFT4));
     }

@@ -94,18 +94,14 @@ pub fn of_recording(recording: &Recording, light: &Light) -> (Sweeps, Vec<TruthS
     let mut sightings = Vec::new();
     let mut truth: Vec<TruthSample> = Vec::new();
     let (mut unplayable, mut half_turns) = (0, Vec::new());
-    // Where the clock stands: a cycle of the mote and its true time, from the recording's first row whatever its window, as
-    // motion capture that was begun with it would count.
+    // Where the clock stands: a cycle of the mote and its true time.
     let mut clock: Option<(f64, f64)> = None;
-    for (row, played) in recording.rows.iter().zip(&light.rows) {
+    for (row, played) in recording.rows.iter().zip(&light.rows).filter(|(row, _)| within(row)) {
         let half_turn_cycles = played.half_turn * cycles_per_tick;
         let cycle = played.cycle as f64;
         let (last, then_s) = *clock.get_or_insert((cycle, 0.0));
         let now_s = then_s + (cycle - last) / half_turn_cycles * HALF_TURN_S;
         clock = Some((cycle, now_s));
-        if !within(row) {
-            continue;
-        }
         if row.truth_ok && truth.last().is_none_or(|sample| now_s > sample.at_s) {
             truth.push(TruthSample { at_s: now_s, position: Vector3::from(row.truth) });
         }

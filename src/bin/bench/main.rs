@@ -84,7 +84,6 @@ struct Rig {
     lit: Sighting,
     report: Report,
     frame: Aligned,
-    key: Key,
     counter: u32,
     pulses: pulse::State,
     sweeps: sweep::State,
@@ -144,7 +143,6 @@ pub extern "C" fn reset() {
         lit: nothing_seen(),
         report: Report::default(),
         frame: Aligned::BLANK,
-        key: Key::new(b"a room of its ow"),
         counter: 0,
         pulses: pulse::State::default(),
         sweeps: sweep::State::default(),
@@ -367,12 +365,12 @@ pub extern "C" fn stage_frame(_: u32, _: u32) -> u32 {
     rig.frame.bytes().len() as u32
 }
 
-/// The frame under the room's key; 1 when it was a plain one.
+/// The frame under the room's key, the cipher made for it; 1 when it was a plain one.
 #[unsafe(no_mangle)]
 pub extern "C" fn stage_seal(_: u32, _: u32) -> u32 {
     let rig = rig();
     rig.counter += 1;
-    u32::from(rig.key.seal(&mut rig.frame, rig.counter))
+    u32::from(Key::new(black_box(b"a room of its ow")).seal(&mut rig.frame, rig.counter))
 }
 
 /// A variance to a standard deviation.

@@ -8,6 +8,7 @@ use anyhow::Result;
 
 use crate::bench::{self, bench};
 use crate::claims::{self, claims};
+use crate::deny;
 use crate::faults::{self, faults};
 use crate::fuzz::{self, fuzz};
 use crate::memory::{self, memory};
@@ -41,7 +42,13 @@ const BOARDS: [Board; 7] = [
 /// Runs formatting, lints, documentation, tests, the bench, the claims, the scenes, the calibration's oracle and the fuzzer, and closes with how many passed.
 pub(crate) fn ci() -> Result<()> {
     let mut tally = Tally::default();
-    tally.check("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
+    for manifest in deny::MANIFESTS {
+        let words = ["fmt", "--all", "--check", "--manifest-path", manifest];
+        tally.check(&format!("formatting of {manifest}"), || run(&mut cargo(&words)));
+    }
+    if deny::is_there() {
+        tally.check("licences, sources and known holes", deny::deny);
+    }
     tally.check("lints for this computer", || {
         run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]))
     });

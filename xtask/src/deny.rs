@@ -11,12 +11,18 @@ use anyhow::Result;
 use crate::process::run;
 use crate::setup;
 
+const TOOL: &str = "cargo-deny";
 /// Every `Cargo.lock` of the repository stands beside one of these.
-const MANIFESTS: [&str; 2] = ["Cargo.toml", "fuzz/Cargo.toml"];
+pub(crate) const MANIFESTS: [&str; 3] = ["Cargo.toml", "fuzz/Cargo.toml", "sim/tests/judge/Cargo.toml"];
 
-/// Checks both workspaces.
+/// Whether cargo-deny is on this computer already.
+pub(crate) fn is_there() -> bool {
+    setup::has_tool(TOOL)
+}
+
+/// Checks every workspace.
 pub(crate) fn deny() -> Result<()> {
-    let program = setup::tool("cargo-deny", &[])?;
+    let program = setup::tool(TOOL, &[])?;
     for manifest in MANIFESTS {
         let checks = ["bans", "licenses", "sources"];
         run(command(&program, manifest).args(checks))?;

@@ -35,7 +35,7 @@ pub mod web;
 use self::counters::Counters;
 use self::dashboard::{Dashboard, Wish};
 use self::model::{Cause, RoomNews, Shared, Snapshot, SourceId, SourceState, Swarm};
-use self::mqtt::{Broker, Mqtt};
+use self::mqtt::{Broker, Login, Mqtt};
 use self::output::{JsonLines, ReaderGone, Sink, Table};
 use self::record::Recorder;
 use self::source::{Capture, Desk, Heard};
@@ -117,6 +117,12 @@ struct Views {
     /// What this gateway is called at the broker [default: the computer's name]
     #[arg(long, value_name = "NAME")]
     mqtt_gateway: Option<String>,
+    /// Who to be at a broker that asks
+    #[arg(long, value_name = "NAME", requires_all = ["mqtt", "mqtt_password"])]
+    mqtt_user: Option<String>,
+    /// A file whose first line is the password for that
+    #[arg(long, value_name = "FILE", requires = "mqtt_user")]
+    mqtt_password: Option<PathBuf>,
     /// A page for browsers at this address of this computer [default: 127.0.0.1:8015, or a free port]
     #[arg(long, value_name = "ADDRESS", value_parser = web::address)]
     web: Option<Option<SocketAddr>>,
@@ -265,7 +271,7 @@ impl Views {
         if let Some(csv) = &self.csv {
             output::vacant(csv)?;
         }
-        if let Some(broker) = self.broker() {
+        if let Some(broker) = self.broker()? {
             broker.check()?;
         }
         if let Some(path) = &self.summary {
@@ -275,10 +281,12 @@ impl Views {
         Ok(())
     }
 
-    fn broker(&self) -> Option<Broker> {
-        let (host, port) = self.mqtt.clone()?;
+    fn broker(&self) -> Result<Option<Broker>> {
+        let Some((host, port)) = self.mqtt.clone() else { return Ok(None) };
         let gateway = self.mqtt_gateway.clone().unwrap_or_else(computer);
-        Some(Broker { host, port, prefix: self.mqtt_prefix.clone(), gateway })
+        let login = self.mqtt_user.as_deref().zip(self.mqtt_password.as_deref());
+        let login = login.map(|(name, file)| Login::read(name, file)).transpose()?;
+        Ok(Some(Broker { host, port, prefix: self.mqtt_prefix.clone(), gateway, login }))
     }
 
     fn sinks(&self, shared: &Shared) -> Result<Vec<Box<dyn Sink>>> {
@@ -295,7 +303,7 @@ impl Views {
             sinks.push(Box::new(web));
         }
         // The last to end: it may have to wait for the network.
-        if let Some(broker) = self.broker() {
+        if let Some(broker) = self.broker()? {
             sinks.push(Box::new(Mqtt::open(broker, shared.clone())?));
         }
         Ok(sinks)

@@ -73,12 +73,26 @@ pub(crate) fn cpp_compiler() -> Result<()> {
     package("g++", "There is no C++ compiler", runs(Command::new("c++").arg("--version")))
 }
 
+/// Whether a tool is there, installed or built by [`tool`] before.
+pub(crate) fn has_tool(name: &str) -> bool {
+    is_installed(name) || own_tool(name).exists()
+}
+
+fn is_installed(name: &str) -> bool {
+    runs(Command::new(name).arg("--version"))
+}
+
+/// Where [`tool`] builds one.
+fn own_tool(name: &str) -> PathBuf {
+    root().join(TOOLS).join("bin").join(name)
+}
+
 /// A program of cargo's registry: the one that is installed, or one built for us with `flags`.
 pub(crate) fn tool(name: &str, flags: &[&str]) -> Result<PathBuf> {
-    if runs(Command::new(name).arg("--version")) {
+    if is_installed(name) {
         return Ok(name.into());
     }
-    let own = root().join(TOOLS).join("bin").join(name);
+    let own = own_tool(name);
     if !own.exists() {
         println!("There is no {name}: building it into {TOOLS}. That takes some minutes, once.");
         run(cargo(&["install", name, "--locked", "--root", TOOLS]).args(flags))?;

@@ -600,6 +600,13 @@ fn a_replay_takes_as_long_as_it_is_told() {
     assert!(text.contains("\n2.9,roof,19528,3,0,29,full,0.28999,1.0,2.0,"), "{text}");
     let none = xtask(&["replay", "no such folder"]).output().unwrap();
     assert!(String::from_utf8_lossy(&none.stderr).contains("is that the folder of a recording?"), "{none:?}");
+    for bytes in [&b""[..], b"not a capture at all"] {
+        let home = tempfile::tempdir().unwrap();
+        fs::write(home.path().join("air.pcapng"), bytes).unwrap();
+        let none = xtask(&["replay", home.path().to_str().unwrap()]).output().unwrap();
+        let said = String::from_utf8_lossy(&none.stderr);
+        assert!(none.status.code() == Some(1) && said.contains("air.pcapng: is neither pcap nor pcapng"), "{none:?}");
+    }
 }
 
 #[test]
@@ -650,17 +657,17 @@ fn mosquitto() -> Option<PathBuf> {
 
 impl Mosquitto {
     fn start() -> Option<Self> {
-        Self::start_at(port::free)
+        Self::start_at(port::free, "allow_anonymous true")
     }
 
-    fn start_at(port: impl Fn() -> u16) -> Option<Self> {
+    fn start_at(port: impl Fn() -> u16, access: &str) -> Option<Self> {
         let program = mosquitto()?;
         let home = tempfile::tempdir().unwrap();
         let settings = home.path().join("mosquitto.conf");
         let until = Instant::now() + LONG;
         loop {
             let port = port();
-            fs::write(&settings, format!("listener {port} 127.0.0.1\nallow_anonymous true\n")).unwrap();
+            fs::write(&settings, format!("listener {port} 127.0.0.1\n{access}\n")).unwrap();
             let mut command = Command::new(&program);
             let child = command.arg("-c").arg(&settings).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
             let mut running = Running(child);
@@ -853,6 +860,63 @@ fn thirty(home: &Path) -> String {
 }
 
 #[test]
+fn a_broker_that_asks_who_one_is_is_told() {
+    let home = tempfile::tempdir().expect("a folder");
+    let file = |name: &str, text: &str| {
+        let path = home.path().join(name);
+        fs::write(&path, text).expect("a file");
+        path.to_str().expect("a plain path").to_owned()
+    };
+    // Mosquitto's own tool hashes it in place.
+    let known = file("known", "roof:sesame\n");
+    let hashed = Command::new("mosquitto_passwd").args(["-U", &known]).status();
+    if !hashed.is_ok_and(|status| status.success()) {
+        eprintln!("skipped: there is no mosquitto_passwd");
+        return;
+    }
+    // It may give up root, and then has to read that.
+    let _ = Command::new("chmod").args(["-R", "a+rX", home.path().to_str().expect("a plain path")]).status();
+    let access = format!("allow_anonymous false\npassword_file {known}");
+    let Some(broker) = Mosquitto::start_at(port::free, &access) else { return };
+    let address = format!("127.0.0.1:{}", broker.port);
+    let (air, right, wrong) = (thirty(home.path()), file("right", "sesame\nnot this\n"), file("wrong", "mustard"));
+    let play = |more: &[&str]| {
+        let words = ["listen", "--capture", &air, "--plain", "--mqtt", &address];
+        let done = xtask(&[&words, more].concat()).output().expect("it starts");
+        let said = [done.stdout, done.stderr].map(|said| String::from_utf8_lossy(&said).into_owned());
+        (done.status.code(), said)
+    };
+    let (code, said) = play(&["--mqtt-user", "roof", "--mqtt-password", &right]);
+    assert!(code == Some(0) && !said[0].contains(" 0 published"), "{said:?}");
+    let refused = format!("broker {address} was never reached: it refuses this client: ");
+    for more in [&[][..], &["--mqtt-user", "roof", "--mqtt-password", &wrong]] {
+        let (code, said) = play(more);
+        assert!(code == Some(1) && said[1].contains(&refused) && !said[1].contains("mustard"), "{said:?}");
+    }
+    let (code, said) = play(&["--mqtt-user", "roof", "--mqtt-password", &file("empty", "")]);
+    assert!(code == Some(1) && said[1].contains("empty:1: no password"), "{said:?}");
+}
+
+#[test]
+fn what_strangers_leave_at_the_broker_is_no_reason_to_hang_up() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let address = format!("127.0.0.1:{}", broker.port);
+    let home = tempfile::tempdir().expect("a folder");
+    let mut options = rumqttc::MqttOptions::new("stranger", "127.0.0.1", broker.port);
+    options.set_max_packet_size(1 << 20, 1 << 20);
+    let (stranger, mut connection) = rumqttc::Client::new(options, 10);
+    let long = vec![b'x'; 200_000];
+    stranger.try_publish("lighthouse/any/thing", rumqttc::QoS::AtLeastOnce, true, long).expect("room for one");
+    let taken = |said: &rumqttc::Event| matches!(said, rumqttc::Event::Incoming(rumqttc::Packet::PubAck(_)));
+    assert!(connection.iter().any(|said| taken(&said.expect("a broker"))), "it took it");
+    let air = thirty(home.path());
+    let done = xtask(&["listen", "--capture", &air, "--plain", "--mqtt", &address]).output().expect("it starts");
+    let said = String::from_utf8_lossy(&done.stdout);
+    assert!(done.status.success(), "{done:?}");
+    assert!(said.contains("0 not delivered\n") && !said.contains(" 0 published"), "{said}");
+}
+
+#[test]
 fn a_broker_that_is_never_there_is_an_error_in_the_end_and_costs_nothing_else() {
     let home = tempfile::tempdir().unwrap();
     let at = |name: &str| home.path().join(name).to_str().expect("a plain path").to_owned();
@@ -930,7 +994,7 @@ fn a_broker_that_is_lost_and_comes_back_is_survived_and_what_it_missed_is_counte
     assert!(lost.starts_with(&format!("broker {address}: lost: ")) && lost.contains("all else goes on"), "{lost}");
     // Long enough that something is missed.
     std::thread::sleep(Duration::from_secs(1));
-    let broker = Mosquitto::start_at(|| port).expect("as before");
+    let broker = Mosquitto::start_at(|| port, "allow_anonymous true").expect("as before");
     assert_eq!(alarms.next().as_deref(), Some(&*format!("broker {address}: is there")));
     // It knows nothing of before, and is told of every mote.
     heard(&broker, 100);

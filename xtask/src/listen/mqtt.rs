@@ -18,6 +18,7 @@
 //! not delivered. One that was never reached, or that is not there in the end, is an error in the end.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -41,6 +42,8 @@ const FOREIGN: Duration = Duration::from_secs(5);
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// Messages that may wait for the network: a swarm's of a second.
 const WAITING: usize = 16_384;
+/// Bytes of a message at most, as MQTT has it (3.1.1, 2.2.3).
+const LONGEST: usize = 268_435_455;
 /// How long the last message may take.
 const GOODBYE: Duration = Duration::from_secs(2);
 /// How long after a broker was not there it is tried again.
@@ -57,6 +60,34 @@ pub struct Broker {
     pub prefix: String,
     /// What this gateway is called.
     pub gateway: String,
+    /// Who it says it is, where the broker asks.
+    pub login: Option<Login>,
+}
+
+/// A name and its password, which shows itself to nobody.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Login {
+    name: String,
+    password: String,
+}
+
+impl Login {
+    /// The password is the first line of a file.
+    ///
+    /// # Errors
+    /// There is no such file, or nothing in its first line.
+    pub fn read(name: &str, file: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(file).with_context(|| file.display().to_string())?;
+        let password = text.lines().next().unwrap_or_default();
+        ensure!(!password.is_empty(), "{}:1: no password", file.display());
+        Ok(Self { name: name.to_owned(), password: password.to_owned() })
+    }
+}
+
+impl std::fmt::Debug for Login {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.name)
+    }
 }
 
 /// Reads `HOST` or `HOST:PORT`.
@@ -180,6 +211,11 @@ impl Mqtt {
         let id = format!("{}-{}-{}", broker.prefix, broker.gateway, std::process::id());
         let mut options = MqttOptions::new(id, &broker.host, broker.port);
         options.set_keep_alive(KEEP_ALIVE);
+        // What others put under the same prefix is none of ours, and no reason to hang up.
+        options.set_max_packet_size(LONGEST, LONGEST);
+        if let Some(Login { name, password }) = &broker.login {
+            options.set_credentials(name, password);
+        }
         options.set_last_will(LastWill::new(gateway_topic(&broker), "offline", QoS::AtLeastOnce, true));
         let (client, connection) = Client::new(options, WAITING);
         let state = Arc::<Mutex<State>>::default();

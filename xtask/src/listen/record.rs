@@ -25,7 +25,7 @@ use pcap_file::pcapng::blocks::interface_description::{InterfaceDescriptionBlock
 
 use super::model::{self, Cause, Event, Shared, SourceId, SourceState};
 use super::output::{FixRow, Growing, HealthRow, Sink, Table};
-use super::source::{Desk, Heard, as_heard, seconds};
+use super::source::{Desk, Heard, as_heard, from_its_beginning, seconds};
 use crate::trust;
 
 /// Bytes that may wait for the next writing.
@@ -210,12 +210,13 @@ impl Recording {
     /// Opens one.
     ///
     /// # Errors
-    /// There is none.
+    /// There is none, or it is no capture.
     pub fn open(dir: &Path) -> Result<Self> {
         let path = dir.join(AIR);
         let name = path.display().to_string();
         let file = File::open(&path);
         let file = file.with_context(|| format!("{name}: cannot be read; is that the folder of a recording?"))?;
+        let file = from_its_beginning(&name, file)?;
         Ok(Self { name, file })
     }
 

@@ -202,18 +202,12 @@ impl Capture {
         if name == "-" {
             return Ok(Self { name, from: Box::new(std::io::stdin()) });
         }
-        let mut file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
+        let file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
         // A pipe is not looked into before its time.
         if file.metadata().is_ok_and(|about| !about.is_file() && !about.is_dir()) {
             return Ok(Self { name, from: Box::new(file) });
         }
-        let mut magic = [0; 4];
-        let is_long = match file.read_exact(&mut magic) {
-            Err(error) if error.kind() == ErrorKind::UnexpectedEof => false,
-            read => read.map(|()| true).with_context(|| format!("{name}: cannot be read"))?,
-        };
-        ensure!(is_long && MAGIC.contains(&u32::from_le_bytes(magic)), "{name}: is neither pcap nor pcapng");
-        file.rewind().with_context(|| format!("{name}: cannot be read"))?;
+        let file = from_its_beginning(&name, file)?;
         Ok(Self { name, from: Box::new(file) })
     }
 
@@ -221,6 +215,21 @@ impl Capture {
     pub fn read(self, desk: Desk) {
         read_from(desk, self.name, self.from);
     }
+}
+
+/// A file that begins as captures do.
+///
+/// # Errors
+/// It cannot be read, or does not.
+pub(super) fn from_its_beginning(name: &str, mut file: File) -> Result<File> {
+    let mut magic = [0; 4];
+    let is_long = match file.read_exact(&mut magic) {
+        Err(error) if error.kind() == ErrorKind::UnexpectedEof => false,
+        read => read.map(|()| true).with_context(|| format!("{name}: cannot be read"))?,
+    };
+    ensure!(is_long && MAGIC.contains(&u32::from_le_bytes(magic)), "{name}: is neither pcap nor pcapng");
+    file.rewind().with_context(|| format!("{name}: cannot be read"))?;
+    Ok(file)
 }
 
 /// Reads a capture from anything.

@@ -27,20 +27,13 @@ impl Line {
 
 /// Prints a name and words.
 pub fn say(name: &str, words: &[u32]) {
-    let mut line = Line {
-        text: [0; 256],
-        length: 0,
-    };
+    let mut line = Line { text: [0; 256], length: 0 };
     name.bytes().for_each(|byte| line.push(byte));
     for word in words {
         line.push(b' ');
         for shift in (0..8).rev() {
             let digit = (word >> (4 * shift) & 15) as u8;
-            line.push(if digit < 10 {
-                b'0' + digit
-            } else {
-                b'a' - 10 + digit
-            });
+            line.push(if digit < 10 { b'0' + digit } else { b'a' - 10 + digit });
         }
     }
     line.push(b'\n');

@@ -96,11 +96,7 @@ extern "C" fn interrupted(return_value: u32, main_stack: *mut u32) {
 
 /// Where the exception entry put what it saved.
 pub fn frame_of(return_value: u32, main_stack: *mut u32) -> *mut u32 {
-    if return_value & 4 == 0 {
-        main_stack
-    } else {
-        special!("psp") as *mut u32
-    }
+    if return_value & 4 == 0 { main_stack } else { special!("psp") as *mut u32 }
 }
 
 /// Handles supervisor calls: doubles the caller's r0 and notes its frame.
@@ -134,13 +130,7 @@ fn supervisor(a: u32, b: u32) -> u32 {
 
 fn mask(masked: bool) {
     // SAFETY: nothing here depends on the mask.
-    unsafe {
-        if masked {
-            asm!("cpsid i")
-        } else {
-            asm!("cpsie i")
-        }
-    }
+    unsafe { if masked { asm!("cpsid i") } else { asm!("cpsie i") } }
 }
 
 /// Runs this part.
@@ -163,17 +153,7 @@ fn registers() {
     write(IPR + 28, 0x1234_5678);
     write(SHPR2, 0xFFFF_FFFF);
     write(SHPR3, 0xFFFF_0000);
-    say(
-        "priorities",
-        &[
-            read(IPR),
-            read(IPR + 28),
-            read(SHPR2),
-            read(SHPR3),
-            read(ISER),
-            read(ICER),
-        ],
-    );
+    say("priorities", &[read(IPR), read(IPR + 28), read(SHPR2), read(SHPR3), read(ISER), read(ICER)]);
     for address in [IPR, IPR + 28, SHPR2, SHPR3] {
         write(address, 0);
     }
@@ -248,13 +228,7 @@ fn order() {
 
 fn nesting() {
     // Line 0 is patient and pends 1, 2 and 3 inside; 2 is the most urgent and pends 1 again.
-    for priorities in [
-        0x8000_40C0,
-        0xC000_40C0,
-        0x4000_C080,
-        0x0000_0000,
-        0xC0C0_C000,
-    ] {
+    for priorities in [0x8000_40C0, 0xC000_40C0, 0x4000_C080, 0x0000_0000, 0xC0C0_C000] {
         write(IPR, priorities);
         PEND_INSIDE[16].store(0b1110, Relaxed);
         PEND_INSIDE[18].store(0b1010, Relaxed);

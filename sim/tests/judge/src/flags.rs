@@ -5,23 +5,7 @@ use core::arch::asm;
 use crate::Digest;
 use crate::console::say;
 
-const EDGES: [u32; 15] = [
-    0,
-    1,
-    2,
-    3,
-    30,
-    31,
-    32,
-    33,
-    64,
-    255,
-    256,
-    0x7FFF_FFFF,
-    0x8000_0000,
-    0x8000_0001,
-    0xFFFF_FFFF,
-];
+const EDGES: [u32; 15] = [0, 1, 2, 3, 30, 31, 32, 33, 64, 255, 256, 0x7FFF_FFFF, 0x8000_0000, 0x8000_0001, 0xFFFF_FFFF];
 
 macro_rules! sweep {
     ($($instruction:literal)*) => {
@@ -92,7 +76,8 @@ fn conditions() {
         }};
     }
     for flags in 0..16u32 {
-        let mask = taken!(flags << 28, "beq" "bne" "bcs" "bcc" "bmi" "bpl" "bvs" "bvc" "bhi" "bls" "bge" "blt" "bgt" "ble");
+        let mask =
+            taken!(flags << 28, "beq" "bne" "bcs" "bcc" "bmi" "bpl" "bvs" "bvc" "bhi" "bls" "bge" "blt" "bgt" "ble");
         say("conditions", &[flags, mask]);
     }
 }

@@ -51,16 +51,7 @@ pub fn run() {
     }
     let mut digest = Digest::default();
     words.iter().for_each(|&word| digest.add(word));
-    say(
-        "stores",
-        &[
-            digest.0,
-            first,
-            second,
-            third,
-            (moved as u32).wrapping_sub(base as u32),
-        ],
-    );
+    say("stores", &[digest.0, first, second, third, (moved as u32).wrapping_sub(base as u32)]);
     let kept: u32;
     // SAFETY: the load is inside the array.
     unsafe { asm!("ldmia r1, {{r0, r1}}", out("r0") _, inout("r1") base => kept) };

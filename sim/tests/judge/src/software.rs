@@ -26,13 +26,7 @@ fn integers() -> u32 {
     for _ in 0..300 {
         let a = u64::from(next(&mut state)) << 32 | u64::from(next(&mut state));
         let b = u64::from(next(&mut state)) >> (state & 31) | 1;
-        for value in [
-            a.wrapping_mul(b),
-            a / b,
-            a % b,
-            (a as i64 / (b as i64 + 1)) as u64,
-            a >> (b & 63),
-        ] {
+        for value in [a.wrapping_mul(b), a / b, a % b, (a as i64 / (b as i64 + 1)) as u64, a >> (b & 63)] {
             digest.add(value as u32);
             digest.add((value >> 32) as u32);
         }
@@ -63,21 +57,13 @@ fn floats() -> u32 {
 fn sorting() -> u32 {
     let mut state = 0x0BAD_5EED;
     let mut numbers = [0u32; 200];
-    numbers
-        .iter_mut()
-        .for_each(|number| *number = next(&mut state));
+    numbers.iter_mut().for_each(|number| *number = next(&mut state));
     numbers.sort_unstable();
     let mut digest = Digest::default();
     numbers.iter().for_each(|&number| digest.add(number));
     let bytes = numbers.map(|number| number as u8);
     digest.add(bytes.iter().fold(0, |crc: u32, &byte| {
-        (0..8).fold(crc ^ u32::from(byte), |crc, _| {
-            if crc & 1 != 0 {
-                crc >> 1 ^ 0xEDB8_8320
-            } else {
-                crc >> 1
-            }
-        })
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| if crc & 1 != 0 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 })
     }));
     digest.0
 }

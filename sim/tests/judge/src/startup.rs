@@ -23,27 +23,15 @@ unsafe impl Sync for Vector {}
 #[unsafe(no_mangle)]
 static VECTORS: [Vector; 48] = {
     let mut table = [Vector { reserved: 0 }; 48];
-    table[0] = Vector {
-        stack: &raw const _stack_top,
-    };
+    table[0] = Vector { stack: &raw const _stack_top };
     table[1] = Vector { reset: Reset };
-    table[3] = Vector {
-        handler: faults::hard_fault,
-    };
-    table[11] = Vector {
-        handler: exceptions::supervisor_call,
-    };
-    table[14] = Vector {
-        handler: exceptions::interrupt,
-    };
-    table[15] = Vector {
-        handler: exceptions::interrupt,
-    };
+    table[3] = Vector { handler: faults::hard_fault };
+    table[11] = Vector { handler: exceptions::supervisor_call };
+    table[14] = Vector { handler: exceptions::interrupt };
+    table[15] = Vector { handler: exceptions::interrupt };
     let mut n = 16;
     while n < 48 {
-        table[n] = Vector {
-            handler: exceptions::interrupt,
-        };
+        table[n] = Vector { handler: exceptions::interrupt };
         n += 1;
     }
     table

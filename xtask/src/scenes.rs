@@ -87,9 +87,9 @@ const LIMITS: [(&str, Promise); 2] = [
     ("moved-turned-5deg", Promise::NoWrongGood),
 ];
 
-/// Whether fixes of level full that are wrong are known of a scene.
-pub(crate) fn known_wrong(scene: &str) -> bool {
-    UNTIL_MET.iter().chain(&LIMITS).any(|(name, promise)| *name == scene && *promise == Promise::NoWrongGood)
+/// Whether no firmware could keep from wrong fixes of level full in a scene.
+pub(crate) fn is_limit(scene: &str) -> bool {
+    LIMITS.iter().any(|(name, promise)| *name == scene && *promise == Promise::NoWrongGood)
 }
 
 /// An image and the strings of its log.

@@ -134,11 +134,12 @@ fn every_interrupt_has_its_priority_and_no_other_line_is_on() {
     let mut mote = Mote::boot_on(&elf(), scum3c::Config::default()).expect("an image");
     mote.run_until(1_000_000).expect("the firmware runs");
     let nvic = &mote.machine.core.nvic;
-    let lines = [4, 5, 10, IRQ_RF, IRQ_RFTIMER];
+    let lines = [4, 5, 10, 15, IRQ_RF, IRQ_RFTIMER];
     let on = lines.iter().fold(0, |on, line| on | 1 << line);
     assert_eq!(nvic.enabled_lines(), on | 1 << IRQ_GPIO8_HIGH, "in the dark");
     // Of four levels, 0 the most urgent, in the upper two bits: edges, then pulses, then radio, then the solver.
-    let levels = [(IRQ_GPIO8_HIGH, 0), (IRQ_GPIO9_LOW, 0), (4, 1), (10, 1), (IRQ_RF, 2), (IRQ_RFTIMER, 2), (5, 3)];
+    let levels =
+        [(IRQ_GPIO8_HIGH, 0), (IRQ_GPIO9_LOW, 0), (4, 1), (10, 1), (IRQ_RF, 2), (IRQ_RFTIMER, 2), (5, 3), (15, 3)];
     let of = |line: u32| nvic.priority_of(16 + line as u8);
     let urgency: Vec<_> = levels.iter().map(|&(line, level)| (of(line), level)).collect();
     for (a, b) in urgency.iter().flat_map(|a| urgency.iter().map(move |b| (a, b))) {

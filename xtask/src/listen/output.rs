@@ -157,7 +157,13 @@ impl Table {
         let empty = rows(!self.is_headed);
         let bytes = std::mem::replace(&mut self.rows, empty).into_inner();
         let bytes = bytes.map_err(|error| error.into_error()).with_context(|| self.name.clone())?;
-        self.file.append(&bytes)
+        if self.file.append(&bytes).is_err() {
+            // Those that there is room for.
+            for row in bytes.split_inclusive(|byte| *byte == b'\n') {
+                self.file.append(row)?;
+            }
+        }
+        Ok(())
     }
 
     /// Waits until what was written is on the disk.

@@ -14,7 +14,7 @@ use super::plan::{CLEAR, Meeting};
 use super::{Allowed, HALF_TURN_WITHIN, SPELL_S, WRONG_SHARE};
 use crate::lit::{Fix, Lit, Said};
 use crate::log::{Log, is_lock_lost, is_start};
-use crate::scenes::known_wrong;
+use crate::scenes::is_limit;
 
 /// A scene's last wrong fixes may come while it is over, and what a scene has done to the tracker takes as long to go,
 /// seconds.
@@ -215,7 +215,7 @@ impl Life {
         );
         must(self.latency_ms <= 1e3 * self.allowed.latency_s, format!("a fix took {} ms to the air", self.latency_ms));
         must(self.refused == 0, format!("the radio refused {} times", self.refused));
-        for (scene, wrong) in self.wrong.iter().filter(|(scene, _)| !known_wrong(scene)) {
+        for (scene, wrong) in self.wrong.iter().filter(|(scene, _)| !is_limit(scene)) {
             let Wrong { fixes, longest_s, .. } = wrong;
             if scene == CLEAR {
                 must(false, format!("{fixes} wrong fixes of level full in clear light"));
@@ -275,7 +275,7 @@ impl std::fmt::Display for Life {
         for (scene, Wrong { fixes, spells, longest_s, .. }) in &self.wrong {
             let good = self.good_in(scene);
             write!(f, "\n  {scene:<22} {fixes:>6} of {good:>7}, in {spells:>4} spells of {longest_s:.2} s at most; ")?;
-            match known_wrong(scene) {
+            match is_limit(scene) {
                 true => write!(f, "known")?,
                 false => write!(f, "{} may be, for {SPELL_S} s", self.may_be_wrong(scene))?,
             }
@@ -365,13 +365,13 @@ impl Watch {
         let settled = fix.row.seconds > self.since_s + AFTERMATH_S;
         let errors = if self.name == CLEAR && settled { &mut self.round.clear } else { &mut self.round.hostile };
         // Where the light itself lies, errors say nothing of the mote.
-        let aftermath_s = if known_wrong(&self.before) { LONG_AFTERMATH_S } else { AFTERMATH_S };
+        let aftermath_s = if is_limit(&self.before) { LONG_AFTERMATH_S } else { AFTERMATH_S };
         let over = fix.row.seconds > self.since_s + aftermath_s;
         let blame = if self.name == CLEAR && !over { &self.before } else { &self.name };
         if self.name != CLEAR {
             *self.life.good.entry(self.name.clone()).or_default() += 1;
         }
-        if !known_wrong(blame) {
+        if !is_limit(blame) {
             errors.push(100.0 * fix.error_m());
         }
         if fix.is_wrong() {
@@ -447,8 +447,8 @@ mod tests {
 
     #[test]
     fn every_scene_that_may_be_wrong_is_one_there_is() {
-        assert!(list::all().iter().any(|named| known_wrong(&named.name)));
-        assert!(!known_wrong(CLEAR));
+        assert!(list::all().iter().any(|named| is_limit(&named.name)));
+        assert!(!is_limit(CLEAR));
     }
 
     #[test]

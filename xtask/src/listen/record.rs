@@ -1,6 +1,6 @@
 //! A recording as it grows, and its replay.
 //!
-//! A folder with `air.pcapng` (every frame as it was heard, for Wireshark and for [`replay`]), `fixes.csv`, `health.csv`
+//! A folder with `air.pcapng` (every frame as it was heard, for Wireshark and for [`Recording`]), `fixes.csv`, `health.csv`
 //! and `room.toml` (the room as it was then). Everything is appended in whole blocks and rows, four times a second and
 //! at least every `PENDING` bytes, so that a program that is killed loses a quarter of a second, and every
 //! `SYNC` it is made sure that the disk has it, so that a computer that loses its power loses no more than that.
